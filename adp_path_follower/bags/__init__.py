@@ -1,0 +1,1 @@
+"""Recording and reading rosbag2 bags."""

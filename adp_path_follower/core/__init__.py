@@ -1,0 +1,1 @@
+"""The path follower without ROS: numpy and scipy only, importable anywhere."""

@@ -1,0 +1,80 @@
+"""The vehicle's error in the frame of a virtual target, and how it moves (paper, section II).
+
+The state is zeta = [s, y, theta, phi]: the position error along the tangent [m] and the normal
+[m] of the path, the heading error [rad], and the compact path state phi = tanh(k2 s_p). Every
+function broadcasts over leading axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.settings import TargetSettings
+
+
+def tracking_error(pose: FloatArray, frame_pose: FloatArray) -> FloatArray:
+    """Return the error e = [s, y, theta] of a pose in the target's frame, shape (..., 3)."""
+    dx = pose[..., 0] - frame_pose[..., 0]
+    dy = pose[..., 1] - frame_pose[..., 1]
+    heading = frame_pose[..., 2]
+    cos, sin = np.cos(heading), np.sin(heading)
+    theta = wrap_angle(pose[..., 2] - heading)
+    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, theta], axis=-1)
+
+
+def target_speed(error: FloatArray, target: TargetSettings) -> FloatArray:
+    """Return the virtual target's speed s_p' = v_des cos(theta) + k1 s [m/s], shape (...)."""
+    return np.asarray(
+        target.desired_speed * np.cos(error[..., 2]) + target.target_gain * error[..., 0]
+    )
+
+
+def path_state(arc_length: FloatArray, target: TargetSettings) -> FloatArray:
+    """Return the compact path state phi = tanh(k2 s_p), same shape."""
+    return np.asarray(np.tanh(target.path_state_gain * arc_length))
+
+
+def arc_length_of(phi: FloatArray, target: TargetSettings) -> FloatArray:
+    """Return the arc length s_p [m] of a compact path state, same shape."""
+    return np.asarray(np.arctanh(phi) / target.path_state_gain)
+
+
+def feedforward(curvature: FloatArray, target: TargetSettings) -> FloatArray:
+    """Return the input that keeps a robot on the path, [v_ss, w_ss] = v_des [1, kappa]."""
+    speed = np.full_like(curvature, target.desired_speed)
+    return np.stack([speed, speed * curvature], axis=-1)
+
+
+def drift(zeta: FloatArray, curvature: FloatArray, target: TargetSettings) -> FloatArray:
+    """Return f of zeta' = f(zeta) + g(zeta) u, shape (..., 4).
+
+    Args:
+        zeta: States, shape (..., 4).
+        curvature: kappa [1/m] at each state's place on the path, shape (...).
+        target: v_des, k1 and k2.
+
+    """
+    s, y, theta, phi = (zeta[..., i] for i in range(4))
+    speed = target_speed(zeta, target)
+    v_des = target.desired_speed
+    # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
+    return np.stack(
+        [
+            speed * (curvature * y - 1.0) + v_des * np.cos(theta),
+            v_des * np.sin(theta) - curvature * s * speed,
+            curvature * (v_des - speed),
+            target.path_state_gain * (1.0 - phi * phi) * speed,
+        ],
+        axis=-1,
+    )
+
+
+def input_matrix(zeta: FloatArray) -> FloatArray:
+    """Return g of zeta' = f(zeta) + g(zeta) u, shape (..., 4, 2)."""
+    theta = zeta[..., 2]
+    matrix = np.zeros((*theta.shape, 4, 2))
+    matrix[..., 0, 0] = np.cos(theta)
+    matrix[..., 1, 0] = np.sin(theta)
+    matrix[..., 2, 1] = 1.0
+    return matrix

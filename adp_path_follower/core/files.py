@@ -1,0 +1,100 @@
+"""Reading text, CSV and YAML files with errors that name the file, the line and the remedy."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.geometry import FloatArray
+
+
+class _Yaml(yaml.SafeLoader):
+    """Safe YAML that reads 1e-3 as a number, as ROS does and YAML 1.1 does not."""
+
+
+_Yaml.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
+)
+
+
+def read_text(file: Path) -> str:
+    """Return the content of a text file.
+
+    Raises:
+        FileError: The file is missing, empty, or binary.
+
+    """
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise FileError(f"file {file} is not text: give a text file in UTF-8") from None
+    except OSError as error:
+        raise FileError(f"file {file} cannot be read: {error.strerror}") from None
+    if not text.strip():
+        raise FileError(f"file {file} is empty")
+    if "\0" in text:
+        raise FileError(f"file {file} is not text: it holds a NUL byte")
+    return text
+
+
+def parse_yaml(text: str) -> object:
+    """Return the value of a YAML text; raises `yaml.YAMLError`."""
+    return yaml.load(text, Loader=_Yaml)  # noqa: S506  # _Yaml is a SafeLoader
+
+
+def read_csv_columns(file: Path, columns: tuple[str, ...]) -> FloatArray:
+    """Return named columns of a CSV file, shape (rows, columns).
+
+    Raises:
+        FileError: The file is missing or empty, lacks a column, or holds something that is not a
+            number; the message names the line.
+
+    """
+    try:
+        rows = list(csv.reader(read_text(file).splitlines()))
+    except csv.Error as error:
+        raise FileError(f"file {file} is not CSV: {error}") from None
+    header = [name.strip().lower() for name in rows[0]] if rows else []
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise FileError(
+            f"file {file} has no column '{missing[0]}': its first line must name "
+            f"{','.join(columns)}"
+        )
+    places = [header.index(name) for name in columns]
+    values = []
+    for number, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        try:
+            values.append([float(row[place]) for place in places])
+        except (IndexError, ValueError):
+            raise FileError(
+                f"file {file}, line {number}: '{','.join(row)[:60]}' is not {len(columns)} numbers"
+            ) from None
+    if not values:
+        raise FileError(f"file {file} has no rows below its header")
+    return np.array(values)
+
+
+def read_yaml(file: Path) -> object:
+    """Return the content of a YAML file.
+
+    Raises:
+        FileError: The file is missing, empty or not YAML.
+
+    """
+    try:
+        content = parse_yaml(read_text(file))
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f", line {mark.line + 1}" if mark else ""
+        raise FileError(f"file {file}{place}: not YAML") from None
+    if content is None:
+        raise FileError(f"file {file} is empty")
+    return content

@@ -1,0 +1,60 @@
+"""Angles and planar poses; every function broadcasts over leading axes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def wrap_angle(angle: ArrayLike) -> FloatArray:
+    """Return the angle [rad] wrapped to [-pi, pi), same shape."""
+    return np.asarray((np.asarray(angle) + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+def advance_pose(pose: FloatArray, linear: ArrayLike, angular: ArrayLike, dt: float) -> FloatArray:
+    """Return the pose after a constant twist was held for a time, shape (..., 3).
+
+    Exact for the unicycle x' = v cos(theta), y' = v sin(theta), theta' = w: the motion is an arc
+    whose chord has the heading theta + w dt / 2 and the length v dt sinc(w dt / 2).
+
+    Args:
+        pose: x [m], y [m], theta [rad], shape (..., 3).
+        linear: Linear velocity v [m/s], shape (...).
+        angular: Angular velocity w [rad/s], shape (...).
+        dt: Duration [s].
+
+    """
+    half_turn = np.asarray(angular) * (0.5 * dt)
+    # numpy's sinc is sin(pi x)/(pi x): smooth through w = 0, where an arc becomes a line.
+    chord = np.asarray(linear) * dt * np.sinc(half_turn / math.pi)
+    middle = pose[..., 2] + half_turn
+    return np.stack(
+        [
+            pose[..., 0] + chord * np.cos(middle),
+            pose[..., 1] + chord * np.sin(middle),
+            pose[..., 2] + 2.0 * half_turn,
+        ],
+        axis=-1,
+    )
+
+
+def pose_in_frame(error: FloatArray, frame_pose: FloatArray) -> FloatArray:
+    """Return the world pose of a vehicle with error [s, y, theta] in a frame, shape (..., 3).
+
+    The inverse of `error_dynamics.tracking_error`.
+    """
+    heading = frame_pose[..., 2]
+    cos, sin = np.cos(heading), np.sin(heading)
+    along, across = error[..., 0], error[..., 1]
+    return np.stack(
+        [
+            frame_pose[..., 0] + cos * along - sin * across,
+            frame_pose[..., 1] + sin * along + cos * across,
+            heading + error[..., 2],
+        ],
+        axis=-1,
+    )

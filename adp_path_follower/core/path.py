@@ -1,0 +1,267 @@
+"""Paths by arc length: pose and curvature at s_p, from points or from a formula."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline, make_interp_spline
+
+from adp_path_follower.core.errors import PathError
+from adp_path_follower.core.geometry import FloatArray
+
+MAX_POINTS = 1_000_000
+_CLOSING_GAP = 1e-3  # [m]: a path whose ends are nearer than this is closed
+_DEGREE = 5  # of the pieces: curvature is then twice differentiable
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+@dataclass(frozen=True)
+class PathFrame:
+    """The Serret-Frenet frame of a path at one or many arc lengths.
+
+    Attributes:
+        pose: x [m], y [m] and tangent angle theta_f [rad], shape (..., 3).
+        curvature: kappa [1/m], positive to the left, shape (...).
+
+    """
+
+    pose: FloatArray
+    curvature: FloatArray
+
+
+class Path:
+    """A planar path as pieces of fifth degree in arc length.
+
+    A closed path has no ends: arc length goes on over the laps. Beyond the ends of an open path
+    its tangents go on as straight lines.
+    """
+
+    def __init__(self, coefficients: FloatArray, length: float, closed: bool) -> None:
+        """Take the pieces of a twice differentiable curve, each of the same arc length.
+
+        Args:
+            coefficients: Of x and y by ascending powers of the arc length from the start of each
+                piece, shape (pieces, 2, degree + 1).
+            length: Length of the whole path [m].
+            closed: Whether the path ends where it starts.
+
+        """
+        pieces, _, terms = coefficients.shape
+        self.length = length
+        self.closed = closed
+        self._pieces = pieces
+        self._step = self.length / pieces
+        # Row r of a piece's block holds the coefficients of (x, y, x', y', x'', y'')[r] by
+        # ascending powers, so that evaluating a path is one gather and one matrix product.
+        derivatives = np.zeros((pieces, 3, 2, terms))
+        derivatives[:, 0] = coefficients
+        for order in (1, 2):
+            derivatives[:, order, :, :-1] = derivatives[:, order - 1, :, 1:] * np.arange(1, terms)
+        self._blocks = derivatives.reshape(pieces, 6, terms)
+        self._degrees = np.arange(terms)
+
+    @classmethod
+    def from_points(cls, points: ArrayLike, closed: bool | None = None) -> Path:
+        """Return the path through points, shape (N, 2) [m]; a C2 spline over their chord lengths.
+
+        Args:
+            points: Positions in order; neighbours that coincide count once.
+            closed: Whether the last point joins the first; by default if they coincide (1 mm).
+
+        Raises:
+            PathError: Fewer than two distinct points, more than a million, a value that is not
+                finite, or points that turn back on themselves.
+
+        """
+        distinct = _distinct(points)
+        joined = math.dist(distinct[0], distinct[-1]) <= _CLOSING_GAP and len(distinct) > 3
+        if closed is None:
+            closed = joined
+        if closed:
+            ends = distinct[:-1] if joined else distinct
+            distinct = np.vstack([ends, ends[:1]])
+            if len(distinct) < 4:
+                raise PathError("a closed path needs at least 3 distinct points: add points")
+        chords = np.linalg.norm(np.diff(distinct, axis=0), axis=1)
+        parameter = np.concatenate([[0.0], np.cumsum(chords)])
+        ends_condition = "periodic" if closed else "not-a-knot" if len(distinct) > 3 else "natural"
+        spline = CubicSpline(parameter, distinct, bc_type=ends_condition)
+        derivative = spline.derivative()
+        return cls._by_arc_length(
+            spline, derivative, parameter, closed, piece=min(0.05, float(np.median(chords)))
+        )
+
+    @classmethod
+    def from_curve(
+        cls,
+        position: Callable[[FloatArray], FloatArray],
+        velocity: Callable[[FloatArray], FloatArray],
+        parameters: FloatArray,
+        closed: bool,
+    ) -> Path:
+        """Return the path of a smooth curve by its arc length.
+
+        Args:
+            position: Maps parameters (M,) to points (M, 2) [m].
+            velocity: The derivative of `position`, never zero.
+            parameters: Increasing parameter values between which the curve is smooth.
+            closed: Whether the curve ends where it starts.
+
+        """
+        return cls._by_arc_length(position, velocity, parameters, closed, piece=0.05)
+
+    @classmethod
+    def _by_arc_length(
+        cls,
+        position: Callable[[FloatArray], FloatArray],
+        velocity: Callable[[FloatArray], FloatArray],
+        breaks: FloatArray,
+        closed: bool,
+        piece: float,
+    ) -> Path:
+        """Return the path after finding the parameter at uniform steps of arc length."""
+        arc = _ArcLength(velocity, breaks)
+        pieces = max(8, math.ceil(arc.length / max(piece, arc.length / MAX_POINTS)))
+        knots = np.linspace(0.0, arc.length, pieces + 1)
+        points = position(arc.parameter(knots))
+        if closed:
+            points[-1] = points[0]
+        spline = make_interp_spline(
+            knots, points, k=_DEGREE, bc_type="periodic" if closed else None
+        )
+        coefficients = [
+            spline(knots[:-1], nu=power) / math.factorial(power) for power in range(_DEGREE + 1)
+        ]
+        path = cls(np.stack(coefficients, axis=-1), arc.length, closed)
+        path._refuse_turning_back()
+        return path
+
+    def frame(self, arc_length: ArrayLike) -> PathFrame:
+        """Return pose and curvature at arc lengths s_p [m] of any shape."""
+        position = np.asarray(arc_length, dtype=float)
+        beyond = None
+        if self.closed:
+            inside = position - self.length * np.floor(position / self.length)
+        else:
+            inside = np.minimum(np.maximum(position, 0.0), self.length)
+            beyond = position - inside
+        piece = np.minimum((inside / self._step).astype(np.intp), self._pieces - 1)
+        powers = (inside - piece * self._step)[..., None] ** self._degrees
+        values = np.matmul(self._blocks[piece], powers[..., None])[..., 0]
+        dx, dy, ddx, ddy = (values[..., row] for row in range(2, 6))
+        heading = np.arctan2(dy, dx)
+        curvature = (dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5
+        x, y = values[..., 0], values[..., 1]
+        if beyond is not None:
+            curvature = np.where(beyond == 0.0, curvature, 0.0)
+            x, y = x + beyond * np.cos(heading), y + beyond * np.sin(heading)
+        return PathFrame(np.stack([x, y, heading], axis=-1), curvature)
+
+    def curvature(self, arc_length: ArrayLike) -> FloatArray:
+        """Return the path curvature kappa [1/m] at each arc length, same shape."""
+        return self.frame(arc_length).curvature
+
+    def points(self, spacing: float = 0.05) -> FloatArray:
+        """Return poses along the path, at most `spacing` [m] apart, shape (N, 3).
+
+        The last pose of a closed path equals the first.
+        """
+        count = max(2, math.ceil(self.length / spacing) + 1)
+        poses = self.frame(np.linspace(0.0, self.length, count)).pose
+        if self.closed:
+            poses[-1] = poses[0]
+        return poses
+
+    def nearest(self, pose: FloatArray) -> float:
+        """Return the arc length [m] of the place that suits a pose (3,) best.
+
+        That is the nearest one, where a heading error of 90 degrees counts like a metre: at a
+        crossing of the path with itself, and between two lanes, the heading decides.
+        """
+        count = max(2, min(100_000, math.ceil(self.length / 0.02)))
+        arc_length = np.linspace(0.0, self.length, count)
+        frame = self.frame(arc_length)
+        squared = ((frame.pose[:, :2] - pose[:2]) ** 2).sum(axis=1)
+        score = squared + 1.0 - np.cos(frame.pose[:, 2] - pose[2])
+        return float(arc_length[np.argmin(score)])
+
+    def digest(self) -> str:
+        """Return a hash of the path's coefficients: equal digests are equal paths."""
+        content = hashlib.sha256(self._blocks.tobytes())
+        content.update(np.array([self.length, self.closed]).tobytes())
+        return content.hexdigest()[:16]
+
+    def _refuse_turning_back(self) -> None:
+        """Raise where the spline is not a path by arc length: a cusp or a reversal."""
+        middles = (np.arange(self._pieces) + 0.5) * self._step
+        values = self._blocks[:, 2:4] @ (0.5 * self._step) ** self._degrees
+        speed = np.linalg.norm(values, axis=1)
+        worst = int(np.argmax(np.abs(speed - 1.0)))
+        if abs(speed[worst] - 1.0) > 0.1:
+            x, y, _ = self.frame(middles[worst]).pose
+            raise PathError(
+                f"path turns back on itself near ({x:.2f}, {y:.2f}): smooth it there, or cut it "
+                "into two paths"
+            )
+
+
+class _ArcLength:
+    """Arc length along a curve, and back, by Gauss-Legendre quadrature between breaks."""
+
+    def __init__(self, velocity: Callable[[FloatArray], FloatArray], breaks: FloatArray) -> None:
+        self._velocity = velocity
+        self._breaks = breaks
+        lengths = self._integrate(breaks[:-1], breaks[1:])
+        self._lengths = np.concatenate([[0.0], np.cumsum(lengths)])
+        self.length = float(self._lengths[-1])
+
+    def _integrate(self, start: FloatArray, stop: FloatArray) -> FloatArray:
+        half = 0.5 * (stop - start)
+        nodes = (0.5 * (start + stop))[:, None] + half[:, None] * _GAUSS_NODES
+        speed = np.linalg.norm(self._velocity(nodes.ravel()), axis=-1).reshape(nodes.shape)
+        return np.asarray(half * (speed @ _GAUSS_WEIGHTS))
+
+    def parameter(self, arc_length: FloatArray) -> FloatArray:
+        """Return the curve's parameter at arc lengths, by Newton's method on each interval."""
+        index = np.searchsorted(self._lengths, arc_length, side="right") - 1
+        index = np.clip(index, 0, len(self._breaks) - 2)
+        low, high = self._breaks[index], self._breaks[index + 1]
+        rest = arc_length - self._lengths[index]
+        interval = self._lengths[index + 1] - self._lengths[index]
+        parameter = low + (high - low) * rest / interval
+        for _ in range(8):
+            speed = np.linalg.norm(self._velocity(parameter), axis=-1)
+            miss = self._integrate(low, parameter) - rest
+            parameter = np.clip(parameter - miss / np.maximum(speed, 1e-12), low, high)
+        return np.asarray(parameter)
+
+
+def _distinct(points: ArrayLike) -> FloatArray:
+    """Return the points as an array (N, 2) without coinciding neighbours.
+
+    Raises:
+        PathError: See `Path.from_points`.
+
+    """
+    array = np.asarray(points, dtype=float)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise PathError(f"path has shape {array.shape}, but must be a list of x, y")
+    if len(array) > MAX_POINTS:
+        raise PathError(f"path has {len(array)} points, but at most {MAX_POINTS} are allowed")
+    bad = ~np.isfinite(array).all(axis=1)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise PathError(f"path point {first} is {array[first].tolist()}, but must be finite")
+    if np.abs(array).max(initial=0.0) > 1e8:
+        raise PathError("path has a coordinate above 1e8 m: check its units")
+    moved = np.ones(len(array), dtype=bool)
+    moved[1:] = np.linalg.norm(np.diff(array, axis=0), axis=1) > 1e-6
+    distinct = array[moved]
+    if len(distinct) < 2:
+        raise PathError(f"path has {len(distinct)} distinct points, but needs at least 2")
+    return distinct

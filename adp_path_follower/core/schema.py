@@ -1,0 +1,229 @@
+"""Settings as frozen dataclasses: one declaration gives type, default, unit, range and text.
+
+A settings *tree* is a frozen dataclass whose fields are *groups*: frozen dataclasses whose fields
+are made by `setting`. Names are unique over the tree, so a YAML file, a ROS parameter list and
+``--set NAME=VALUE`` are all flat. Files, ROS descriptors and the parameter table read the same
+declaration, so they cannot disagree.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, TypeVar
+
+from adp_path_follower.core.errors import SettingsError
+
+Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[str, ...]
+Tree = TypeVar("Tree")
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Describe one setting: what the dataclass field itself does not say."""
+
+    doc: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    lengths: tuple[int, ...] = ()
+    read_only: str = ""
+    symbol: str = ""
+
+
+@dataclass(frozen=True)
+class SettingField:
+    """One setting of a tree, as files, ROS and the docs see it."""
+
+    group: str
+    name: str
+    kind: type
+    item_kind: type | None
+    default: Value
+    spec: Spec
+
+    @property
+    def type_name(self) -> str:
+        """Return the type in words, e.g. "list of numbers"."""
+        words = {bool: "true or false", int: "integer", float: "number", str: "text"}
+        plural = {int: "integers", float: "numbers", str: "texts"}
+        if self.item_kind is not None:
+            return f"list of {plural[self.item_kind]}"
+        return words[self.kind]
+
+    @property
+    def range_text(self) -> str:
+        """Return the allowed values in words, empty where anything of the type will do."""
+        spec = self.spec
+        if spec.choices:
+            return "one of " + ", ".join(spec.choices)
+        parts = []
+        if spec.lengths:
+            parts.append(" or ".join(str(n) for n in spec.lengths) + " values")
+        if spec.low > -math.inf or spec.high < math.inf:
+            parts.append(f"{spec.low:g} to {spec.high:g}")
+        return ", ".join(parts)
+
+
+def setting(default: Any, doc: str, **spec: Any) -> Any:
+    """Declare a setting: a dataclass field with its default, doc and `Spec` keywords."""
+    return dataclasses.field(default=default, metadata={"spec": Spec(doc=doc, **spec)})
+
+
+@cache
+def setting_fields(tree: Any) -> tuple[SettingField, ...]:
+    """Return every setting of a tree (a class), in order of declaration."""
+    found = []
+    for group_name, group in typing.get_type_hints(tree).items():
+        hints = typing.get_type_hints(group)
+        for field in dataclasses.fields(group):
+            hint = hints[field.name]
+            is_list = typing.get_origin(hint) is tuple
+            found.append(
+                SettingField(
+                    group=group_name,
+                    name=field.name,
+                    kind=tuple if is_list else hint,
+                    item_kind=typing.get_args(hint)[0] if is_list else None,
+                    default=field.default,
+                    spec=field.metadata["spec"],
+                )
+            )
+    names = [field.name for field in found]
+    if len(set(names)) != len(names):
+        raise TypeError(f"setting names of {tree.__name__} must be unique")
+    return tuple(found)
+
+
+def build(tree: type[Tree], values: Mapping[str, object]) -> Tree:
+    """Return the settings tree with these values, the rest at their defaults.
+
+    Raises:
+        SettingsError: An unknown name, a wrong type, a value out of range, or values that do not
+            fit each other; the message names setting, value and what is allowed.
+
+    """
+    fields = {field.name: field for field in setting_fields(tree)}
+    grouped: dict[str, dict[str, Value]] = {field.group: {} for field in fields.values()}
+    for name, value in values.items():
+        if name not in fields:
+            raise SettingsError(unknown_name(name, fields))
+        field = fields[name]
+        grouped[field.group][name] = checked(field, value)
+    hints = typing.get_type_hints(tree)
+    return tree(**{group: hints[group](**found) for group, found in grouped.items()})
+
+
+def update(current: Tree, values: Mapping[str, object]) -> Tree:
+    """Return the settings with some values replaced, checked like `build` does."""
+    return build(type(current), {**flatten(current), **values})
+
+
+def flatten(tree: object) -> dict[str, Value]:
+    """Return all settings of a tree as name: value."""
+    return {
+        field.name: getattr(getattr(tree, field.group), field.name)
+        for field in setting_fields(type(tree))
+    }
+
+
+def unknown_name(name: str, known: Sequence[str] | Mapping[str, object]) -> str:
+    """Return the sentence that refuses an unknown setting and proposes the nearest known one."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    hint = f"; did you mean '{near[0]}'?" if near else "; docs/parameters.md lists all of them"
+    return f"unknown setting '{name}'{hint}"
+
+
+def checked(field: SettingField, value: object) -> Value:
+    """Return the value in the setting's own type.
+
+    Raises:
+        SettingsError: The value has the wrong type, or is out of range.
+
+    """
+    if field.item_kind is None:
+        item: Value = _checked_item(field, field.kind, value)
+        return item
+    if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
+        raise _refusal(field, value, f"a {field.type_name}")
+    items = tuple(_checked_item(field, field.item_kind, item) for item in value)
+    if field.spec.lengths and len(items) not in field.spec.lengths:
+        raise _refusal(field, value, field.range_text)
+    return items
+
+
+def _checked_item(field: SettingField, kind: type, value: object) -> Any:
+    # bool is an int to Python, but `true` for a speed is a mistake.
+    if isinstance(value, bool) is not (kind is bool):
+        raise _refusal(field, value, field.type_name)
+    if kind is float and isinstance(value, int):
+        value = float(value)
+    if not isinstance(value, kind):
+        raise _refusal(field, value, field.type_name)
+    spec = field.spec
+    if spec.choices and value not in spec.choices:
+        raise _refusal(field, value, field.range_text)
+    if isinstance(value, int | float) and not spec.low <= value <= spec.high:  # refuses NaN too
+        raise _refusal(field, value, field.range_text or "a number")
+    return value
+
+
+def _refusal(field: SettingField, value: object, allowed: str) -> SettingsError:
+    unit = f" {field.spec.unit}" if field.spec.unit and field.spec.unit != "-" else ""
+    shown = list(value) if isinstance(value, tuple) else value
+    return SettingsError(f"setting '{field.name}' is {shown!r}, but must be {allowed}{unit}")
+
+
+def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:
+    """Return the settings of a tree as Markdown tables, one for each group."""
+    lines: list[str] = []
+    group = ""
+    for field in setting_fields(tree):
+        if field.group != group:
+            group = field.group
+            lines += ["", f"### {title_of_group[group]}", ""]
+            lines += [
+                "| name | symbol | type | default | unit | allowed | change while running |",
+                "|---|---|---|---|---|---|---|",
+            ]
+        spec = field.spec
+        change = f"no: {spec.read_only}" if spec.read_only else "yes"
+        lines.append(
+            f"| `{field.name}`<br>{spec.doc} | {spec.symbol} | {field.type_name} | "
+            f"`{yaml_text(field.default)}` | {spec.unit} | {field.range_text} | {change} |"
+        )
+    return "\n".join(lines).strip() + "\n"
+
+
+def yaml_text(value: Value) -> str:
+    """Return a value as YAML that the ROS parameter parser reads with the same type.
+
+    That parser refuses lists that mix integers and floats, and takes ``1`` for an integer, so a
+    float always carries its point.
+    """
+    if isinstance(value, tuple):
+        return "[" + ", ".join(yaml_text(item) for item in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        if math.isinf(value):
+            return ".inf" if value > 0 else "-.inf"
+        text = repr(value)
+        return text if "e" not in text or "." in text else text.replace("e", ".0e")
+    if isinstance(value, str):
+        return f'"{value}"' if value else '""'
+    return str(value)
+
+
+def group_titles(tree: type) -> dict[str, str]:
+    """Return the first docstring line of each group of a tree, without its full stop."""
+    hints: dict[str, type] = typing.get_type_hints(tree)
+    return {
+        name: (group.__doc__ or name).splitlines()[0].rstrip(".") for name, group in hints.items()
+    }

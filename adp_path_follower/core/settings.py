@@ -1,0 +1,289 @@
+"""The controller's settings: the one place that names, types, bounds and explains them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.basis import BASES, Basis
+from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.schema import setting
+
+_POSITIVE = 1e-9  # the smallest value of settings that must not be zero
+_STRUCTURE = "the learner's arrays are sized by it"
+_WIRING = "the node's topics and timers are made from it"
+_PAPER_WEIGHTS = (0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.5, 0.0, 1.0)
+
+
+def _matrix(name: str, values: tuple[float, ...], size: int) -> FloatArray:
+    """Return a cost matrix given by its diagonal or row by row, shape (size, size)."""
+    given = np.asarray(values)
+    matrix = np.diag(given) if len(values) == size else given.reshape(size, size)
+    if not np.all(np.isfinite(matrix)) or not np.array_equal(matrix, matrix.T):
+        raise SettingsError(f"setting '{name}' is {list(values)}, but must be finite and symmetric")
+    return matrix
+
+
+@dataclass(frozen=True)
+class TargetSettings:
+    """Virtual target."""
+
+    desired_speed: float = setting(
+        0.5, "Speed along the path.", symbol="v_des", unit="m/s", low=_POSITIVE, high=20.0
+    )
+    target_gain: float = setting(
+        0.1,
+        "How strongly the virtual target runs ahead of a robot that is ahead of it, and waits "
+        "for one that is behind.",
+        symbol="k1",
+        unit="1/s",
+        low=_POSITIVE,
+        high=100.0,
+    )
+    path_state_gain: float = setting(
+        0.05,
+        "Scale that maps arc length to the compact path state φ = tanh(k2 s_p).",
+        symbol="k2",
+        unit="1/m",
+        low=_POSITIVE,
+        high=100.0,
+    )
+
+
+@dataclass(frozen=True)
+class CostSettings:
+    """Cost."""
+
+    state_cost: tuple[float, ...] = setting(
+        (1.0, 1.0, 1.0),
+        "Weight of the errors [s, y, θ]: the diagonal, or all 9 entries row by row; symmetric, "
+        "positive semidefinite.",
+        symbol="Q",
+        lengths=(3, 9),
+    )
+    input_cost: tuple[float, ...] = setting(
+        (1.0, 1.0),
+        "Weight of the inputs [v − v_ss, ω − ω_ss]: the diagonal, or all 4 entries row by row; "
+        "symmetric, positive definite.",
+        symbol="R",
+        lengths=(2, 4),
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse costs without a minimum."""
+        if np.linalg.eigvalsh(self.state_cost_matrix()).min() < 0.0:
+            raise SettingsError(
+                f"setting 'state_cost' is {list(self.state_cost)}, but must be positive "
+                "semidefinite: no eigenvalue below 0"
+            )
+        if np.linalg.eigvalsh(self.input_cost_matrix()).min() <= 0.0:
+            raise SettingsError(
+                f"setting 'input_cost' is {list(self.input_cost)}, but must be positive "
+                "definite: every eigenvalue above 0"
+            )
+
+    def state_cost_matrix(self) -> FloatArray:
+        """Return Q, shape (3, 3)."""
+        return _matrix("state_cost", self.state_cost, 3)
+
+    def input_cost_matrix(self) -> FloatArray:
+        """Return R, shape (2, 2)."""
+        return _matrix("input_cost", self.input_cost, 2)
+
+
+@dataclass(frozen=True)
+class LimitSettings:
+    """Limits of the command."""
+
+    min_linear_vel: float = setting(
+        0.0, "Lowest linear velocity.", unit="m/s", high=0.0, symbol="v_min"
+    )
+    max_linear_vel: float = setting(
+        1.0, "Highest linear velocity.", unit="m/s", low=_POSITIVE, symbol="v_max"
+    )
+    max_angular_vel: float = setting(
+        1.5,
+        "Highest angular velocity, in either direction.",
+        unit="rad/s",
+        low=_POSITIVE,
+        symbol="ω_max",
+    )
+
+    @property
+    def lower(self) -> FloatArray:
+        """Return the lowest [v, w], shape (2,)."""
+        return np.array([self.min_linear_vel, -self.max_angular_vel])
+
+    @property
+    def upper(self) -> FloatArray:
+        """Return the highest [v, w], shape (2,)."""
+        return np.array([self.max_linear_vel, self.max_angular_vel])
+
+    @property
+    def unlimited(self) -> bool:
+        """Return whether no command is ever clipped."""
+        return all(
+            map(math.isinf, (self.min_linear_vel, self.max_linear_vel, self.max_angular_vel))
+        )
+
+
+@dataclass(frozen=True)
+class LearningSettings:
+    """Learning."""
+
+    learning: bool = setting(
+        True, "Learn while driving; false keeps the weights as they are.", symbol=""
+    )
+    basis: str = setting(
+        "paper",
+        "Basis of the value function; paper_misprinted is the one that is printed, which leaves "
+        "the path (docs/paper.md).",
+        symbol="σ",
+        choices=tuple(BASES),
+        read_only=_STRUCTURE,
+    )
+    critic_gain_measured: float = setting(
+        0.5,
+        "Gain of the Bellman error at the measured state.",
+        symbol="η_c1",
+        low=0.0,
+        high=1e4,
+    )
+    critic_gain_sampled: float = setting(
+        10.0,
+        "Gain of the Bellman errors extrapolated to the sampled states.",
+        symbol="η_c2",
+        low=0.0,
+        high=1e4,
+    )
+    actor_gain: float = setting(
+        5.0,
+        "Rate at which the actor follows the critic.",
+        symbol="η_a",
+        unit="1/s",
+        low=0.0,
+        high=1e4,
+    )
+    actor_weight_bound: float = setting(
+        10.0,
+        "Norm that the smooth projection keeps the actor weights below.",
+        symbol="W̄",
+        low=_POSITIVE,
+        high=1e6,
+    )
+    sample_half_widths: tuple[float, ...] = setting(
+        (1.0, 1.0, 1.0, 0.5),
+        "Half-width of the grid of sampled states about the origin, along s [m], y [m], θ [rad] "
+        "and φ (below 1, for φ = ±1 is s_p = ±∞).",
+        symbol="ζ_j",
+        lengths=(4,),
+        low=_POSITIVE,
+        high=100.0,
+    )
+    samples_per_axis: tuple[int, ...] = setting(
+        (3, 3, 3, 3),
+        "Number of sampled values along s, y, θ and φ.",
+        symbol="N",
+        lengths=(4,),
+        low=1,
+        high=50,
+        read_only=_STRUCTURE,
+    )
+    initial_critic_weights: tuple[float, ...] = setting(
+        _PAPER_WEIGHTS,
+        "Critic weights at the start and after ~/reset_learning, one for each term of the basis.",
+        symbol="Ŵc(0)",
+        low=-1e6,
+        high=1e6,
+    )
+    initial_actor_weights: tuple[float, ...] = setting(
+        _PAPER_WEIGHTS,
+        "Actor weights at the start and after ~/reset_learning, one for each term of the basis.",
+        symbol="Ŵa(0)",
+        low=-1e6,
+        high=1e6,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse weights and grids that do not fit the basis."""
+        size = len(self.value_basis.labels)
+        for name in ("initial_critic_weights", "initial_actor_weights"):
+            weights = getattr(self, name)
+            if len(weights) != size:
+                raise SettingsError(
+                    f"setting '{name}' has {len(weights)} values, but the basis '{self.basis}' "
+                    f"needs {size}: one for each of {', '.join(self.value_basis.labels)}"
+                )
+        if self.sample_half_widths[3] >= 1.0:
+            raise SettingsError(
+                f"setting 'sample_half_widths' is {list(self.sample_half_widths)}, but its fourth "
+                "value (φ) must be below 1: φ = 1 is the end of an infinitely long path"
+            )
+        if math.prod(self.samples_per_axis) > 10_000:
+            raise SettingsError(
+                f"setting 'samples_per_axis' is {list(self.samples_per_axis)}, but its product, "
+                "the number of samples, must be at most 10000"
+            )
+
+    @property
+    def value_basis(self) -> Basis:
+        """Return the basis that is named."""
+        return BASES[self.basis]
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """Controller node."""
+
+    controller_frequency: float = setting(
+        100.0,
+        "Rate at which commands are published.",
+        unit="Hz",
+        low=1.0,
+        high=1000.0,
+        read_only=_WIRING,
+    )
+    control_trigger: str = setting(
+        "timer",
+        "What starts a control step: a timer at controller_frequency, or every odometry message "
+        "(the lock-step simulation needs it).",
+        choices=("timer", "odometry"),
+        read_only=_WIRING,
+    )
+    path_start: str = setting(
+        "nearest",
+        "Where on a new path the virtual target starts: at the place nearest to the robot, or at "
+        "the beginning.",
+        choices=("nearest", "beginning"),
+    )
+    odom_timeout: float = setting(
+        0.5,
+        "Age of the odometry, in steady time, at which the robot is told to stop.",
+        unit="s",
+        low=0.01,
+        high=60.0,
+    )
+    enable_stamped_cmd_vel: bool = setting(
+        True,
+        "Publish geometry_msgs/TwistStamped; false publishes geometry_msgs/Twist.",
+        read_only=_WIRING,
+    )
+    autostart: bool = setting(
+        True,
+        "Configure and activate at once; false waits for the lifecycle transitions.",
+        read_only="it only matters at the start",
+    )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings of the controller; build them with `schema.build(Settings, values)`."""
+
+    target: TargetSettings
+    cost: CostSettings
+    limits: LimitSettings
+    learning: LearningSettings
+    controller: ControllerSettings

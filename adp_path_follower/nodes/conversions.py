@@ -1,0 +1,183 @@
+"""Between ROS messages and the core's arrays; bad messages raise `MessageError`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from geometry_msgs.msg import Pose, PoseStamped, Quaternion, Twist, TwistStamped, Vector3Stamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
+
+from adp_path_follower.core.errors import AdpError, PathError
+from adp_path_follower.core.geometry import FloatArray, advance_pose
+from adp_path_follower.core.path import MAX_POINTS, Path
+
+NANOSECONDS = 1_000_000_000
+_LONGEST_PREDICTION = 1.0  # [s]
+
+
+class MessageError(AdpError, ValueError):
+    """Report a message that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the controller uses of an odometry message.
+
+    Attributes:
+        stamp: Time of the message [ns].
+        pose: x [m], y [m], theta [rad], shape (3,).
+        twist: v [m/s], w [rad/s], shape (2,).
+        frame: Frame of the pose.
+        child_frame: Frame of the robot.
+
+    """
+
+    stamp: int
+    pose: FloatArray
+    twist: FloatArray
+    frame: str
+    child_frame: str
+
+    def pose_at(self, time: int) -> FloatArray:
+        """Return the pose at a time [ns], moved on from the stamp at constant twist.
+
+        Stamps of another clock (ahead, or a second behind) leave the pose as it was measured.
+        """
+        age = (time - self.stamp) / NANOSECONDS
+        if not 0.0 < age < _LONGEST_PREDICTION:
+            return self.pose
+        return advance_pose(self.pose, self.twist[0], self.twist[1], age)
+
+
+def stamp_nanoseconds(header: Header) -> int:
+    """Return a header's stamp [ns]."""
+    return int(header.stamp.sec) * NANOSECONDS + int(header.stamp.nanosec)
+
+
+def make_header(time: int, frame: str) -> Header:
+    """Return a header with a time [ns]."""
+    header = Header(frame_id=frame)
+    header.stamp.sec, header.stamp.nanosec = divmod(time, NANOSECONDS)
+    return header
+
+
+def yaw_of(rotation: Quaternion) -> float:
+    """Return the heading [rad] of a rotation, which need not have unit norm.
+
+    Raises:
+        MessageError: The quaternion is not finite or has zero norm.
+
+    """
+    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
+    squared_norm = x * x + y * y + z * z + w * w
+    if not math.isfinite(squared_norm):
+        raise MessageError(f"orientation is not finite: x {x}, y {y}, z {z}, w {w}")
+    if squared_norm < 1e-6:
+        raise MessageError("orientation is a quaternion of zero norm")
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def quaternion_of(yaw: float) -> Quaternion:
+    """Return the rotation by a heading [rad]."""
+    return Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw))
+
+
+def measurement_of(message: Odometry) -> Measurement:
+    """Return what an odometry message says.
+
+    Raises:
+        MessageError: A value is not finite, or the quaternion has zero norm.
+
+    """
+    position, linear = message.pose.pose.position, message.twist.twist.linear
+    try:
+        yaw = yaw_of(message.pose.pose.orientation)
+    except MessageError as error:
+        raise MessageError(f"odometry {error}") from None
+    values = (position.x, position.y, linear.x, message.twist.twist.angular.z)
+    if not all(map(math.isfinite, values)):
+        x, y, v, w = values
+        raise MessageError(f"odometry is not finite: x {x}, y {y}, v {v}, w {w}")
+    return Measurement(
+        stamp=stamp_nanoseconds(message.header),
+        pose=np.array([position.x, position.y, yaw]),
+        twist=np.array([linear.x, message.twist.twist.angular.z]),
+        frame=message.header.frame_id,
+        child_frame=message.child_frame_id,
+    )
+
+
+def odometry_message(
+    time: int, pose: FloatArray, twist: FloatArray, frames: tuple[str, str]
+) -> Odometry:
+    """Return odometry of a pose (3,) and twist (2,) in the frames (odom, base)."""
+    message = Odometry(header=make_header(time, frames[0]), child_frame_id=frames[1])
+    message.pose.pose = pose_message(pose)
+    message.twist.twist.linear.x = float(twist[0])
+    message.twist.twist.angular.z = float(twist[1])
+    return message
+
+
+def pose_message(pose: FloatArray) -> Pose:
+    """Return a planar pose (3,) as a message."""
+    message = Pose(orientation=quaternion_of(float(pose[2])))
+    message.position.x, message.position.y = float(pose[0]), float(pose[1])
+    return message
+
+
+def pose_stamped(time: int, frame: str, pose: FloatArray) -> PoseStamped:
+    """Return a planar pose (3,) with a stamp [ns]."""
+    return PoseStamped(header=make_header(time, frame), pose=pose_message(pose))
+
+
+def path_of(message: PathMessage) -> Path:
+    """Return the path through a message's positions.
+
+    Raises:
+        PathError: See `Path.from_points`.
+
+    """
+    if len(message.poses) > MAX_POINTS:
+        raise PathError(
+            f"path has {len(message.poses)} points, but at most {MAX_POINTS} are allowed"
+        )
+    positions = [pose.pose.position for pose in message.poses]
+    return Path.from_points(np.array([[p.x, p.y] for p in positions]).reshape(-1, 2))
+
+
+def path_message(path: Path, frame: str, time: int, spacing: float) -> PathMessage:
+    """Return a path as poses at most `spacing` [m] apart, headed along it."""
+    message = PathMessage(header=make_header(time, frame))
+    message.poses = [pose_stamped(time, frame, pose) for pose in path.points(spacing)]
+    return message
+
+
+def twist_message(command: FloatArray) -> Twist:
+    """Return a command [v, w] as a message."""
+    message = Twist()
+    message.linear.x, message.angular.z = float(command[0]), float(command[1])
+    return message
+
+
+def twist_stamped(time: int, frame: str, command: FloatArray) -> TwistStamped:
+    """Return a command [v, w] with a stamp [ns]."""
+    return TwistStamped(header=make_header(time, frame), twist=twist_message(command))
+
+
+def error_message(time: int, frame: str, error: FloatArray) -> Vector3Stamped:
+    """Return e = [s, y, theta] as x, y, z of a vector."""
+    message = Vector3Stamped(header=make_header(time, frame))
+    message.vector.x, message.vector.y, message.vector.z = (float(value) for value in error)
+    return message
+
+
+def array_message(labels: tuple[str, ...], values: FloatArray) -> Float64MultiArray:
+    """Return values as one row, whose dimension's label names them: "s y, s θ, ..."."""
+    message = Float64MultiArray(data=values.tolist())
+    label = ", ".join(labels)
+    message.layout.dim = [MultiArrayDimension(label=label, size=len(values), stride=len(values))]
+    return message

@@ -1,0 +1,60 @@
+"""Entry points of the executables.
+
+They take over SIGINT and SIGTERM before rclpy is imported (half a second in which Python would
+answer with a traceback) and import the node only then.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from types import FrameType
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os._exit(128 + number)  # nothing has been published yet, so nothing is left to say
+
+
+def _main(module: str) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _leave)
+    try:
+        node_module = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        sys.exit(
+            f"Python module '{error.name}' is missing: source a ROS 2 Jazzy installation, or "
+            "install its wheels with: pip install 'adp_path_follower[jazzy]'"
+        )
+    sys.exit(node_module.main())
+
+
+def controller() -> None:
+    """Run the path follower node."""
+    _main("adp_path_follower.nodes.controller")
+
+
+def path_publisher() -> None:
+    """Run the path publisher node."""
+    _main("adp_path_follower.nodes.path_publisher")
+
+
+def recorder() -> None:
+    """Run the recorder node."""
+    _main("adp_path_follower.nodes.recorder")
+
+
+def sim_unicycle() -> None:
+    """Run the unicycle simulator node."""
+    _main("sim_unicycle.node")
+
+
+if __name__ == "__main__":  # python -m adp_path_follower.nodes.entry NODE [ARGUMENTS]
+    name = sys.argv.pop(1)
+    {
+        "controller": controller,
+        "path_publisher": path_publisher,
+        "recorder": recorder,
+        "sim_unicycle": sim_unicycle,
+    }[name]()

@@ -1,0 +1,82 @@
+"""The path publisher node: a built-in path or a file as nav_msgs/Path, for late joiners too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nav_msgs.msg import Path as PathMessage
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.path_library import PATH_HELP, named_path
+from adp_path_follower.core.schema import setting
+from adp_path_follower.nodes.conversions import path_message
+from adp_path_follower.nodes.parameters import changed_settings, declare_settings
+from adp_path_follower.nodes.run import run_node
+
+NODE_NAME = "path_publisher"
+
+
+@dataclass(frozen=True)
+class PublishedPathSettings:
+    """Path publisher node."""
+
+    path: str = setting("lissajous", f"Path to publish: {PATH_HELP}.")
+    frame_id: str = setting("odom", "Frame of the path.")
+    spacing: float = setting(
+        0.05, "Largest distance between two poses.", unit="m", low=0.001, high=10.0
+    )
+
+
+@dataclass(frozen=True)
+class PathPublisherSettings:
+    """All settings of the path publisher."""
+
+    path_publisher: PublishedPathSettings
+
+
+class PathPublisherNode(Node):
+    """Publish one path, and again whenever a parameter changes."""
+
+    def __init__(self) -> None:
+        """Read the path and publish it."""
+        super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
+        self.finished = False
+        settings = declare_settings(self, PathPublisherSettings)
+        message = self._message(settings)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._publisher = self.create_publisher(PathMessage, "path", latched)
+        self._publish(settings, message)
+        self.add_on_set_parameters_callback(self._change_parameters)
+
+    def last_words(self) -> None:
+        """Say nothing: the path stays valid."""
+
+    def _message(self, settings: PathPublisherSettings) -> PathMessage:
+        published = settings.path_publisher
+        path = named_path(published.path)
+        time = self.get_clock().now().nanoseconds
+        return path_message(path, published.frame_id, time, published.spacing)
+
+    def _publish(self, settings: PathPublisherSettings, message: PathMessage) -> None:
+        self._settings = settings
+        self._publisher.publish(message)
+        name = settings.path_publisher.path
+        self.get_logger().info(f"published path '{name}': {len(message.poses)} poses")
+
+    def _change_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            settings = changed_settings(self._settings, parameters)
+            if settings != self._settings:
+                self._publish(settings, self._message(settings))
+        except AdpError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def main() -> int:
+    """Run the node; return its exit code."""
+    return run_node(NODE_NAME, PathPublisherNode)

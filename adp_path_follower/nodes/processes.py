@@ -1,0 +1,122 @@
+"""Start nodes as processes on a DDS domain of their own, and end all of them."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.schema import Value, yaml_text
+
+_DOMAINS = range(1, 102)  # the ports of higher ones lie where Linux takes ports for clients
+
+
+@contextlib.contextmanager
+def own_domain() -> Iterator[int]:
+    """Claim a ROS domain that no other run on this machine has claimed.
+
+    Raises:
+        AdpError: Every domain is taken.
+
+    """
+    candidates = list(_DOMAINS)
+    random.shuffle(candidates)
+    for domain in candidates:
+        file = Path(tempfile.gettempdir()) / f"adp_path_follower_domain_{domain}.lock"
+        with file.open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            yield domain
+            return
+    raise AdpError("every ROS domain from 1 to 101 is taken: end other runs first")
+
+
+class NodeProcess:
+    """One node of this package as a process in a process group of its own."""
+
+    def __init__(
+        self,
+        executable: str,
+        parameters: Mapping[str, Value],
+        *,
+        log: Path,
+        domain: int,
+        arguments: tuple[str, ...] = (),
+    ) -> None:
+        """Start a node.
+
+        Args:
+            executable: "controller", "sim_unicycle", "path_publisher" or "recorder".
+            parameters: ROS parameters.
+            log: File for what the node prints.
+            domain: ROS domain.
+            arguments: Further arguments after ``--ros-args``.
+
+        """
+        self.name = executable
+        self.log = log
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            # The matrices are small: threads of BLAS would only wait for each other.
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        command = [sys.executable, "-m", "adp_path_follower.nodes.entry", executable, "--ros-args"]
+        for name, value in parameters.items():
+            command += ["-p", f"{name}:={yaml_text(value)}"]
+        with log.open("wb") as output:
+            self.process = subprocess.Popen(  # noqa: S603  # our own executable
+                [*command, *arguments],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def output(self) -> str:
+        """Return what the node has printed so far."""
+        return self.log.read_text(encoding="utf-8", errors="replace")
+
+    def wait_for_output(self, text: str, timeout: float) -> None:
+        """Wait until the node has printed a text.
+
+        Raises:
+            AdpError: It ended, or did not print it within the timeout [s].
+
+        """
+        deadline = time.monotonic() + timeout
+        while text not in self.output():
+            if self.process.poll() is not None:
+                raise AdpError(f"{self.name} ended early: {self.last_line()}")
+            if time.monotonic() > deadline:
+                raise AdpError(f"{self.name} did not say '{text}' in {timeout:g} s: {self.log}")
+            time.sleep(0.02)
+
+    def last_line(self) -> str:
+        """Return the last line that the node printed."""
+        lines = self.output().strip().splitlines()
+        return lines[-1] if lines else f"exit code {self.process.poll()}"
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = 10.0) -> int:
+        """Ask the node to end, kill its group if it does not, and return its exit code."""
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, number)
+            try:
+                self.process.wait(timeout)
+            except subprocess.TimeoutExpired:
+                os.killpg(self.process.pid, signal.SIGKILL)
+        return self.process.wait()

@@ -1,0 +1,304 @@
+"""The closed loop of `PathFollower` and the unicycle without ROS, many starts at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.follower import FollowerOutput, PathFollower
+from adp_path_follower.core.geometry import FloatArray, advance_pose, pose_in_frame
+from adp_path_follower.core.learner import Weights
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.schema import update
+from adp_path_follower.core.settings import Settings
+from sim_unicycle.settings import PlantSettings
+from sim_unicycle.unicycle import Unicycle
+
+PAPER_START = (-0.5, 0.25, -math.pi / 6.0)
+LEARNING_MODES = ("cold", "warm", "frozen")
+SETTLED_ERROR = 0.05  # |e| below which a run counts as settled
+
+_LONGEST_STEP = 0.01  # [s] of the cost's quadrature
+_LOST = 1e4  # |e| beyond which a run has failed and is frozen
+_BLOCK = 128  # starts at once: enough to hide Python's overhead, small enough for the caches
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """What happened at each of the T control steps of B runs.
+
+    Attributes:
+        time: Time since the start [s], shape (T,).
+        pose: True pose, shape (B, T, 3).
+        error: e = [s, y, theta], shape (B, T, 3).
+        arc_length: s_p [m], shape (B, T).
+        command: [v, w], shape (B, T, 2).
+        modified_input: u = [v_e, w_e], shape (B, T, 2).
+        critic_weights: Wc, shape (B, T, L).
+        actor_weights: Wa, shape (B, T, L).
+        bellman_error: delta at the state, shape (B, T).
+
+    """
+
+    time: FloatArray
+    pose: FloatArray
+    error: FloatArray
+    arc_length: FloatArray
+    command: FloatArray
+    modified_input: FloatArray
+    critic_weights: FloatArray
+    actor_weights: FloatArray
+    bellman_error: FloatArray
+
+
+@dataclass(frozen=True)
+class SimulationResult:
+    """Outcome of B runs.
+
+    Attributes:
+        starts: Initial errors [s, y, theta], shape (B, 3).
+        cost: J over the run, integrated along the true motion, shape (B,).
+        final_error: e at the end, shape (B, 3).
+        settling_time: Time after which |e| stays below 0.05 [s], infinite where it does not (B,).
+        max_inputs: Largest |v| and |w| commanded, shape (B, 2).
+        weights: Weights at the end, shape (B, L) each.
+        excitation: Smallest value of the certificate during the run, shape (B,).
+        failed: Runs that lost the path altogether; their numbers are not finite, shape (B,).
+        trajectories: The runs themselves, if they were asked for.
+
+    """
+
+    starts: FloatArray
+    cost: FloatArray
+    final_error: FloatArray
+    settling_time: FloatArray
+    max_inputs: FloatArray
+    weights: Weights
+    excitation: FloatArray
+    failed: np.ndarray
+    trajectories: Trajectories | None = field(default=None, repr=False)
+
+
+def simulate(
+    settings: Settings,
+    path: Path,
+    starts: ArrayLike = PAPER_START,
+    *,
+    start_arc_length: float = 0.0,
+    duration: float = 30.0,
+    rate: float = 100.0,
+    learning: str = "cold",
+    plant: PlantSettings | None = None,
+    record: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> SimulationResult:
+    """Simulate the closed loop from one or many starts.
+
+    Args:
+        settings: The controller's settings.
+        path: The path to follow.
+        starts: Initial errors [s, y, theta] to the virtual target, shape (3,) or (B, 3).
+        start_arc_length: Where the virtual target starts [m].
+        duration: Simulated time [s].
+        rate: Control steps per second [Hz]; commands are held between them.
+        learning: "cold" starts with the weights of the settings, "warm" first learns at the start
+            until the weights settle, "frozen" never changes the weights.
+        plant: Imperfections of the robot; an ideal one by default.
+        record: Keep trajectories.
+        progress: Called now and then with the fraction that is done.
+
+    Returns:
+        The outcome, in the order of the starts.
+
+    Raises:
+        AdpError: A start, a duration or a rate that is not finite and positive.
+
+    """
+    errors = np.atleast_2d(np.asarray(starts, dtype=float))
+    if errors.ndim != 2 or errors.shape[1] != 3 or not np.isfinite(errors).all():
+        raise AdpError("starts must be finite values s, y, theta, three for each start")
+    if learning not in LEARNING_MODES:
+        raise AdpError(f"learning is '{learning}', but must be one of {', '.join(LEARNING_MODES)}")
+    if not (0.0 < duration < math.inf and 0.0 < rate <= 1e4):
+        raise AdpError(
+            f"duration is {duration} s and rate {rate} Hz, but they must be positive (rate at "
+            "most 10000)"
+        )
+    blocks = [errors[first : first + _BLOCK] for first in range(0, len(errors), _BLOCK)]
+    results = []
+    for index, block in enumerate(blocks):
+        loop = _ClosedLoop(settings, path, block, start_arc_length, learning, plant)
+
+        def report(fraction: float, index: int = index) -> None:
+            if progress is not None:
+                progress((index + fraction) / len(blocks))
+
+        results.append(loop.run(round(duration * rate), 1.0 / rate, record, report))
+    return _joined(results)
+
+
+class _ClosedLoop:
+    """One block of runs: plant, follower and the cost along the way."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        path: Path,
+        starts: FloatArray,
+        start_arc_length: float,
+        learning: str,
+        plant: PlantSettings | None,
+    ) -> None:
+        if learning == "frozen":
+            settings = update(settings, {"learning": False})
+        initial = Weights.initial(settings.learning)
+        self._initial = Weights(
+            np.tile(initial.critic, (len(starts), 1)), np.tile(initial.actor, (len(starts), 1))
+        )
+        arc_length = np.full(len(starts), start_arc_length)
+        self._settings = settings
+        self._starts = starts
+        self._follower = PathFollower(settings, path, arc_length, self._initial)
+        pose = pose_in_frame(starts, path.frame(arc_length).pose)
+        self._robot = Unicycle(pose, plant if plant is not None else PlantSettings())
+        if learning == "warm":
+            self._follower.learn_at_rest(pose)
+        self._failed = np.zeros(len(starts), dtype=bool)
+
+    def run(
+        self, steps: int, period: float, record: bool, progress: Callable[[float], None]
+    ) -> SimulationResult:
+        """Return the outcome after so many control periods [s]."""
+        count = len(self._starts)
+        records: list[tuple[FollowerOutput, FloatArray]] = []
+        last_outside = np.full(count, -1)
+        max_inputs = np.zeros((count, 2))
+        excitation = np.full(count, math.inf)
+        cost = np.zeros(count)
+        for step in range(steps + 1):
+            output = self._follower.step(self._robot.measured_pose(), period)
+            command = self._checked_command(output)
+            outside = ~(np.linalg.norm(output.error, axis=-1) < SETTLED_ERROR)
+            last_outside[outside] = step
+            if record:
+                records.append((output, self._robot.pose))
+            if step % max(1, round(0.1 / period)) == 0:
+                progress(step / (steps + 1))
+                excitation = np.minimum(excitation, output.excitation)
+            if step < steps:
+                max_inputs = np.maximum(max_inputs, np.abs(command))
+                cost += self._move(output.arc_length, command, period)
+        settling_time = np.where(last_outside < steps, (last_outside + 1) * period, math.inf)
+        return SimulationResult(
+            starts=self._starts,
+            cost=np.where(self._failed, math.nan, cost),
+            final_error=np.where(self._failed[:, None], math.nan, output.error),
+            settling_time=np.where(self._failed, math.inf, settling_time),
+            max_inputs=max_inputs,
+            weights=output.weights,
+            excitation=excitation,
+            failed=self._failed,
+            trajectories=_trajectories(records, period) if record else None,
+        )
+
+    def _checked_command(self, output: FollowerOutput) -> FloatArray:
+        """Return the command, zero for runs that are lost; those stay where they are."""
+        weights = self._follower.weights
+        finite = np.isfinite(np.concatenate([output.command, weights.critic, weights.actor], -1))
+        near = np.linalg.norm(output.error, axis=-1) < _LOST
+        self._failed = self._failed | ~(finite.all(axis=-1) & near)
+        if not self._failed.any():
+            return output.command
+        lost = self._failed[:, None]
+        self._follower.weights = Weights(
+            np.where(lost, self._initial.critic, weights.critic),
+            np.where(lost, self._initial.actor, weights.actor),
+        )
+        return np.where(lost, 0.0, output.command)
+
+    def _move(self, arc_length: FloatArray, command: FloatArray, period: float) -> FloatArray:
+        """Move the robot for one period; return the cost along its true motion, shape (B,).
+
+        Simpson's rule on steps of at most 10 ms, with the virtual target moving on beside the
+        robot from where the controller has it at the start of the period.
+        """
+        count = math.ceil(period / _LONGEST_STEP - 1e-9)
+        step = period / count
+        cost = np.zeros(len(self._starts))
+        for _ in range(count):
+            start = self._robot.pose
+            self._robot.step(command, step)
+            twist = self._robot.twist
+            middle = advance_pose(start, twist[..., 0], twist[..., 1], 0.5 * step)
+            first, speed = self._cost_rate(start, arc_length, twist)
+            second, speed = self._cost_rate(middle, arc_length + 0.5 * step * speed, twist)
+            arc_length = arc_length + step * speed
+            third, _ = self._cost_rate(self._robot.pose, arc_length, twist)
+            cost += step / 6.0 * (first + 4.0 * second + third)
+        return cost
+
+    def _cost_rate(
+        self, pose: FloatArray, arc_length: FloatArray, twist: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return e^T Q e + u^T R u and the virtual target's speed, shape (B,) each."""
+        target = self._settings.target
+        frame = self._follower.path.frame(arc_length)
+        error = error_dynamics.tracking_error(pose, frame.pose)
+        modified_input = twist - error_dynamics.feedforward(frame.curvature, target)
+        rate = self._follower.running_cost(error, modified_input)
+        return rate, error_dynamics.target_speed(error, target)
+
+
+def _trajectories(records: list[tuple[FollowerOutput, FloatArray]], period: float) -> Trajectories:
+    """Return the records of a block with the runs first."""
+
+    def stacked(take: Callable[[FollowerOutput], FloatArray]) -> FloatArray:
+        return np.stack([take(output) for output, _ in records], axis=1)
+
+    return Trajectories(
+        time=np.arange(len(records), dtype=float) * period,
+        pose=np.stack([pose for _, pose in records], axis=1),
+        error=stacked(lambda output: output.error),
+        arc_length=stacked(lambda output: output.arc_length),
+        command=stacked(lambda output: output.command),
+        modified_input=stacked(lambda output: output.modified_input),
+        critic_weights=stacked(lambda output: output.weights.critic),
+        actor_weights=stacked(lambda output: output.weights.actor),
+        bellman_error=stacked(lambda output: output.bellman_error),
+    )
+
+
+def _joined(blocks: list[SimulationResult]) -> SimulationResult:
+    """Return the blocks as one result."""
+
+    def joined(take: Callable[[SimulationResult], FloatArray]) -> FloatArray:
+        return np.concatenate([take(block) for block in blocks])
+
+    recorded = [block.trajectories for block in blocks if block.trajectories is not None]
+    trajectories = None
+    if recorded:
+        runs = {
+            name: np.concatenate([getattr(block, name) for block in recorded])
+            for name in (item.name for item in fields(Trajectories))
+            if name != "time"
+        }
+        trajectories = Trajectories(time=recorded[0].time, **runs)
+    return SimulationResult(
+        starts=joined(lambda block: block.starts),
+        cost=joined(lambda block: block.cost),
+        final_error=joined(lambda block: block.final_error),
+        settling_time=joined(lambda block: block.settling_time),
+        max_inputs=joined(lambda block: block.max_inputs),
+        weights=Weights(
+            joined(lambda block: block.weights.critic), joined(lambda block: block.weights.actor)
+        ),
+        excitation=joined(lambda block: block.excitation),
+        failed=joined(lambda block: block.failed),
+        trajectories=trajectories,
+    )

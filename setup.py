@@ -1,0 +1,63 @@
+"""Package adp_path_follower for pip and for colcon (ament_python)."""
+
+import re
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "adp_path_follower"
+VERSION = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
+
+JAZZY_WHEELS = [
+    "ros-jazzy-rclpy",
+    "ros-jazzy-rmw-fastrtps-cpp",
+    "ros-jazzy-nav-msgs",
+    "ros-jazzy-geometry-msgs",
+    "ros-jazzy-visualization-msgs",
+    "ros-jazzy-std-srvs",
+    "ros-jazzy-diagnostic-msgs",
+]
+
+setup(
+    name=NAME,
+    version=VERSION,
+    description="Path following for unicycle robots by online approximate optimal control",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
+    maintainer="adp_path_follower maintainers",
+    maintainer_email="maintainers@adp-path-follower.example.org",
+    packages=find_packages(include=[NAME, f"{NAME}.*", "sim_unicycle"]),
+    package_data={NAME: ["py.typed"], "sim_unicycle": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/launch", glob("launch/*.launch.py")),
+    ],
+    python_requires=">=3.11",
+    install_requires=[
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "rosbags>=0.10",
+        "mcap>=1.1",
+        "PyYAML>=6.0",
+        "click>=8.1",
+        "matplotlib>=3.6",
+    ],
+    extras_require={
+        "jazzy": JAZZY_WHEELS,
+        "test": ["pytest>=7.4", "hypothesis>=6.90"],
+        "lint": ["ruff==0.17.6", "mypy==2.4.1", "types-PyYAML"],
+    },
+    entry_points={
+        "console_scripts": [
+            "controller = adp_path_follower.nodes.entry:controller",
+            "path_publisher = adp_path_follower.nodes.entry:path_publisher",
+            "recorder = adp_path_follower.nodes.entry:recorder",
+            "sim_unicycle = adp_path_follower.nodes.entry:sim_unicycle",
+            "adp = adp_path_follower.cli.main:main",
+        ],
+    },
+)

@@ -1,0 +1,1 @@
+"""A kinematic unicycle simulator."""

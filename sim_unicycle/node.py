@@ -1,0 +1,197 @@
+"""The simulator node: velocity commands in, odometry and clock out."""
+
+from __future__ import annotations
+
+import time as steady
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import Trigger
+
+from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.nodes.conversions import NANOSECONDS, odometry_message, stamp_nanoseconds
+from adp_path_follower.nodes.parameters import changed_settings, declare_settings
+from adp_path_follower.nodes.run import run_node
+from sim_unicycle.settings import SimulatorSettings
+from sim_unicycle.unicycle import Unicycle
+
+NODE_NAME = "unicycle_sim"
+
+_DISCOVERY_PERIOD = 0.1  # [s], steady
+_RESEND_PERIOD = 0.1  # [s], steady: how long lock-step waits before it repeats its odometry
+_REMINDER = 5.0  # [s], steady: how long it waits before it tells the user
+_ZERO = np.zeros(2)
+# Deep, so that a recorder that the machine keeps waiting for a second loses nothing.
+_EVERY_STEP = QoSProfile(depth=1000)
+
+
+class SimulatorNode(Node):
+    """A unicycle in simulated time.
+
+    In lock-step, time stands still until a command arrives that answers the last odometry: a
+    TwistStamped with its stamp, or any Twist. Before the first answer no /clock is published, so
+    that the zero velocities of a controller that starts (their stamp is 0) are no answers.
+    """
+
+    def __init__(self) -> None:
+        """Declare the parameters and start."""
+        super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
+        self.finished = False
+        self._settings = declare_settings(self, SimulatorSettings)
+        self.add_on_set_parameters_callback(self._change_parameters)
+        simulation = self._settings.simulation
+        self._period = round(NANOSECONDS / simulation.rate)  # [ns]
+        self._own_clock = simulation.publish_clock or simulation.lockstep
+        self._robot = self._new_robot()
+        self._command: FloatArray = _ZERO
+        self._command_time = 0
+        self._start_time = self._period if self._own_clock else self.get_clock().now().nanoseconds
+        self._time = self._start_time  # [ns]
+        self._answered = False  # whether lock-step has had its first answer
+        self._sent_at = self._reminded_at = steady.monotonic()
+
+        self._odometry = self.create_publisher(Odometry, "odom", _EVERY_STEP)
+        self._ground_truth = self.create_publisher(Odometry, "ground_truth", _EVERY_STEP)
+        self._clock_publisher = None
+        if self._own_clock:
+            self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 10)
+        self._command_type = TwistStamped
+        self._command_subscription = self._subscribe_commands()
+        steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_DISCOVERY_PERIOD, self._match_command_type, clock=steady_clock)
+        self.create_service(Trigger, "~/reset", self._reset)
+        period = self._period / NANOSECONDS / simulation.real_time_factor
+        if simulation.lockstep:
+            self._publish()
+            period = 0.5 * _RESEND_PERIOD
+        self.create_timer(
+            period,
+            self._resend if simulation.lockstep else self._tick,
+            clock=steady_clock,
+        )
+        mode = "in lock-step" if simulation.lockstep else f"at {simulation.rate:g} Hz"
+        self.get_logger().info(f"simulating {mode}")
+
+    def last_words(self) -> None:
+        """Say nothing: a simulator that is gone needs no warning."""
+
+    def _new_robot(self) -> Unicycle:
+        start = self._settings.start
+        return Unicycle(np.array([start.x, start.y, start.theta]), self._settings.plant)
+
+    def _change_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._settings = changed_settings(self._settings, parameters)
+        except SettingsError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._robot.plant = self._settings.plant
+        return SetParametersResult(successful=True)
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._robot = self._new_robot()
+        self._command = _ZERO
+        response.success, response.message = True, "robot is at its start again"
+        return response
+
+    # Commands
+
+    def _subscribe_commands(self) -> Subscription:
+        stamped = self._command_type is TwistStamped
+        receive = self._receive_stamped if stamped else self._receive_twist
+        return self.create_subscription(self._command_type, "cmd_vel", receive, _EVERY_STEP)
+
+    def _match_command_type(self) -> None:
+        """Subscribe with the type that is published; one DDS participant cannot use both."""
+        offered = {info.topic_type for info in self.get_publishers_info_by_topic("cmd_vel")}
+        other = Twist if self._command_type is TwistStamped else TwistStamped
+        if offered == {f"geometry_msgs/msg/{other.__name__}"}:
+            self.destroy_subscription(self._command_subscription)
+            self._command_type = other
+            self._command_subscription = self._subscribe_commands()
+
+    def _receive_stamped(self, message: TwistStamped) -> None:
+        self._receive(message.twist, stamp_nanoseconds(message.header) == self._time)
+
+    def _receive_twist(self, message: Twist) -> None:
+        self._receive(message, True)
+
+    def _receive(self, twist: Twist, answers: bool) -> None:
+        command = np.array([twist.linear.x, twist.angular.z])
+        if not np.isfinite(command).all():
+            self.get_logger().error(f"command refused: {command.tolist()} is not finite")
+            return
+        if not self._settings.simulation.lockstep:
+            self._command, self._command_time = command, self._time
+        elif answers:
+            self._command, self._command_time = command, self._time
+            self._answered = True
+            self._advance(self._period)
+
+    # Time
+
+    def _tick(self) -> None:
+        """Let simulated time go on beside the steady clock."""
+        if self._own_clock:
+            self._advance(self._period)
+        else:
+            self._advance(self.get_clock().now().nanoseconds - self._time)
+
+    def _resend(self) -> None:
+        """Repeat an odometry that was not answered: it, or its answer, may have been lost."""
+        now = steady.monotonic()
+        if now - self._sent_at < _RESEND_PERIOD:
+            return
+        self._sent_at = now
+        self._odometry.publish(self._message)
+        if now - self._reminded_at > _REMINDER:
+            self._reminded_at = now
+            self.get_logger().warning(
+                "lock-step is waiting for a command with the stamp of the last odometry: is a "
+                "controller running, has it a path, and is its control_trigger 'odometry'?"
+            )
+
+    def _advance(self, duration: int) -> None:
+        """Move the robot for a time [ns] and publish where it is."""
+        simulation = self._settings.simulation
+        if self._time + duration > self._start_time + simulation.duration * NANOSECONDS + 1:
+            self.finished = True
+            return
+        age = (self._time - self._command_time) / NANOSECONDS
+        command = self._command if age < simulation.command_timeout else _ZERO
+        self._robot.step(command, duration / NANOSECONDS)
+        self._time += duration
+        self._reminded_at = steady.monotonic()
+        self._publish()
+
+    def _publish(self) -> None:
+        """Publish clock, odometry and ground truth."""
+        self._sent_at = steady.monotonic()
+        if self._clock_publisher is not None and (
+            self._answered or not self._settings.simulation.lockstep
+        ):
+            seconds, nanoseconds = divmod(self._time, NANOSECONDS)
+            self._clock_publisher.publish(
+                ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds))
+            )
+        simulation = self._settings.simulation
+        frames = simulation.odom_frame, simulation.base_frame
+        robot = self._robot
+        self._ground_truth.publish(odometry_message(self._time, robot.pose, robot.twist, frames))
+        # Kept, so that lock-step repeats the same message: the same noise.
+        self._message = odometry_message(self._time, robot.measured_pose(), robot.twist, frames)
+        self._odometry.publish(self._message)
+
+
+def main() -> int:
+    """Run the node; return its exit code."""
+    return run_node(NODE_NAME, SimulatorNode)
