@@ -14,7 +14,6 @@ import math
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, TypeVar
 
 from adp_path_follower.core.errors import SettingsError
@@ -76,7 +75,6 @@ def setting(default: Any, doc: str, **spec: Any) -> Any:
     return dataclasses.field(default=default, metadata={"spec": Spec(doc=doc, **spec)})
 
 
-@cache
 def setting_fields(tree: Any) -> tuple[SettingField, ...]:
     """Return every setting of a tree (a class), in order of declaration."""
     found = []
@@ -91,7 +89,7 @@ def setting_fields(tree: Any) -> tuple[SettingField, ...]:
                     name=field.name,
                     kind=tuple if is_list else hint,
                     item_kind=typing.get_args(hint)[0] if is_list else None,
-                    default=field.default,
+                    default=typing.cast(Any, field.default),
                     spec=field.metadata["spec"],
                 )
             )
