@@ -66,6 +66,14 @@ class PathFollower:
 
     One object drives one robot, or a batch of robots at once: the leading axes of the pose, of
     the arc length and of the weights are the batch.
+
+    Attributes:
+        settings: What it was made with.
+        path: The path that it follows.
+        arc_length: s_p of the virtual target [m], shape (...).
+        weights: Critic and actor weights, shape (..., L) each.
+        cost: J so far, by the trapezoidal rule over the control steps, shape (...).
+
     """
 
     def __init__(
@@ -84,7 +92,9 @@ class PathFollower:
         self._state_cost = settings.cost.state_cost_matrix()
         self._input_cost = settings.cost.input_cost_matrix()
         self._input_cost_inverse = np.asarray(np.linalg.inv(self._input_cost), float)
-        self._previous_error: FloatArray | None = None
+        self.cost = np.zeros_like(self.arc_length)
+        self._previous: FollowerOutput | None = None
+        self._time: int | None = None
 
     def step(self, pose: FloatArray, dt: float) -> FollowerOutput:
         """Return the command for a pose [x, y, theta], shape (..., 3), after dt [s].
@@ -92,14 +102,29 @@ class PathFollower:
         Moves the virtual target over the past period, computes error and command there, then
         learns for one period. The first step, and the first one after `hold`, lets no time pass.
         """
-        if self._previous_error is None:
+        if self._previous is None:
             dt = 0.0
         frame, error = self._move_target(pose, dt)
-        self._previous_error = error
         output = self._evaluate(frame, error)
+        if self._previous is not None:
+            mean_rate = 0.5 * (self._previous.running_cost + output.running_cost)
+            self.cost = self.cost + dt * mean_rate
+        self._previous = output
         if self.settings.learning.learning and dt > 0.0:
             self._learn(output, dt)
         return output
+
+    def step_at(self, pose: FloatArray, time: int) -> FollowerOutput:
+        """Return the command for a pose at a time [ns] of any clock.
+
+        Like `step` with the time since the last call. After a gap longer than `odom_timeout`, and
+        after a step back of the clock, no time passes: nobody knows what the robot did meanwhile.
+        """
+        elapsed = 0.0 if self._time is None else (time - self._time) * 1e-9
+        if not 0.0 < elapsed <= self.settings.controller.odom_timeout:
+            self.hold()
+        self._time = time
+        return self.step(pose, elapsed)
 
     def learn_at_rest(self, pose: FloatArray, seconds: float = 600.0) -> bool:
         """Learn with robot and target held where they are; return whether the weights settled.
@@ -160,7 +185,7 @@ class PathFollower:
 
     def hold(self) -> None:
         """Let no time pass until the next step: the robot was stopped, or not observed."""
-        self._previous_error = None
+        self._previous = None
 
     def reset_learning(self) -> None:
         """Return to the initial weights of the settings."""
@@ -171,7 +196,7 @@ class PathFollower:
         same_basis = settings.learning.basis == self.settings.learning.basis
         weights = self.weights if same_basis else None
         other = PathFollower(settings, self.path, self.arc_length, weights)
-        other._previous_error = self._previous_error
+        other.cost, other._previous, other._time = self.cost, self._previous, self._time
         return other
 
     def _move_target(self, pose: FloatArray, dt: float) -> tuple[PathFrame, FloatArray]:
@@ -179,11 +204,11 @@ class PathFollower:
 
         Heun's method: s_p' is taken at both ends of the period, where the robot was observed.
         """
-        if self._previous_error is None or dt <= 0.0:
+        if self._previous is None or dt <= 0.0:
             frame = self.path.frame(self.arc_length)
             return frame, error_dynamics.tracking_error(pose, frame.pose)
         target = self.settings.target
-        speed_before = error_dynamics.target_speed(self._previous_error, target)
+        speed_before = error_dynamics.target_speed(self._previous.error, target)
         guess = self.arc_length + dt * speed_before
         error = error_dynamics.tracking_error(pose, self.path.frame(guess).pose)
         speed_after = error_dynamics.target_speed(error, target)

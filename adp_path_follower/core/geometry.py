@@ -15,6 +15,11 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
     return np.asarray((np.asarray(angle) + math.pi) % (2.0 * math.pi) - math.pi)
 
 
+def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:
+    """Return the heading [rad] of a rotation, given by a quaternion of any norm but zero."""
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
 def advance_pose(pose: FloatArray, linear: ArrayLike, angular: ArrayLike, dt: float) -> FloatArray:
     """Return the pose after a constant twist was held for a time, shape (..., 3).
 

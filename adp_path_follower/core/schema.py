@@ -21,6 +21,8 @@ from adp_path_follower.core.errors import SettingsError
 Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[str, ...]
 Tree = TypeVar("Tree")
 
+POSITIVE = 1e-9  # as the lowest value of a setting: it must be above zero
+
 
 @dataclass(frozen=True)
 class Spec:
@@ -50,7 +52,7 @@ class SettingField:
     @property
     def type_name(self) -> str:
         """Return the type in words, e.g. "list of numbers"."""
-        words = {bool: "true or false", int: "integer", float: "number", str: "text"}
+        words = {bool: "true or false", int: "an integer", float: "a number", str: "a text"}
         plural = {int: "integers", float: "numbers", str: "texts"}
         if self.item_kind is not None:
             return f"list of {plural[self.item_kind]}"
@@ -65,8 +67,12 @@ class SettingField:
         parts = []
         if spec.lengths:
             parts.append(" or ".join(str(n) for n in spec.lengths) + " values")
-        if spec.low > -math.inf or spec.high < math.inf:
-            parts.append(f"{spec.low:g} to {spec.high:g}")
+        if spec.low == POSITIVE:
+            parts.append("above 0")
+        elif spec.low > -math.inf:
+            parts.append(f"at least {spec.low:g}")
+        if spec.high < math.inf:
+            parts.append(f"at most {spec.high:g}")
         return ", ".join(parts)
 
 
@@ -89,7 +95,7 @@ def setting_fields(tree: Any) -> tuple[SettingField, ...]:
                     name=field.name,
                     kind=tuple if is_list else hint,
                     item_kind=typing.get_args(hint)[0] if is_list else None,
-                    default=typing.cast(Any, field.default),
+                    default=typing.cast("Any", field.default),
                     spec=field.metadata["spec"],
                 )
             )
@@ -173,7 +179,7 @@ def _checked_item(field: SettingField, kind: type, value: object) -> Any:
 
 
 def _refusal(field: SettingField, value: object, allowed: str) -> SettingsError:
-    unit = f" {field.spec.unit}" if field.spec.unit and field.spec.unit != "-" else ""
+    unit = f" [{field.spec.unit}]" if field.spec.unit else ""
     shown = list(value) if isinstance(value, tuple) else value
     return SettingsError(f"setting '{field.name}' is {shown!r}, but must be {allowed}{unit}")
 

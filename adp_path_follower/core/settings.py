@@ -10,12 +10,12 @@ import numpy as np
 from adp_path_follower.core.basis import BASES, Basis
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.schema import setting
+from adp_path_follower.core.schema import POSITIVE, setting
 
-_POSITIVE = 1e-9  # the smallest value of settings that must not be zero
 _STRUCTURE = "the learner's arrays are sized by it"
 _WIRING = "the node's topics and timers are made from it"
-_PAPER_WEIGHTS = (0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.5, 0.0, 1.0)
+# The Riccati solution for the default speed, gains and cost on a straight line.
+_RICCATI_WEIGHTS = (0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.905, 2.8284, 1.4142)
 
 
 def _matrix(name: str, values: tuple[float, ...], size: int) -> FloatArray:
@@ -32,7 +32,7 @@ class TargetSettings:
     """Virtual target."""
 
     desired_speed: float = setting(
-        0.5, "Speed along the path.", symbol="v_des", unit="m/s", low=_POSITIVE, high=20.0
+        0.5, "Speed along the path.", symbol="v_des", unit="m/s", low=POSITIVE, high=20.0
     )
     target_gain: float = setting(
         0.1,
@@ -40,7 +40,7 @@ class TargetSettings:
         "for one that is behind.",
         symbol="k1",
         unit="1/s",
-        low=_POSITIVE,
+        low=POSITIVE,
         high=100.0,
     )
     path_state_gain: float = setting(
@@ -48,7 +48,7 @@ class TargetSettings:
         "Scale that maps arc length to the compact path state φ = tanh(k2 s_p).",
         symbol="k2",
         unit="1/m",
-        low=_POSITIVE,
+        low=POSITIVE,
         high=100.0,
     )
 
@@ -102,13 +102,13 @@ class LimitSettings:
         0.0, "Lowest linear velocity.", unit="m/s", high=0.0, symbol="v_min"
     )
     max_linear_vel: float = setting(
-        1.0, "Highest linear velocity.", unit="m/s", low=_POSITIVE, symbol="v_max"
+        1.0, "Highest linear velocity.", unit="m/s", low=POSITIVE, symbol="v_max"
     )
     max_angular_vel: float = setting(
         1.5,
         "Highest angular velocity, in either direction.",
         unit="rad/s",
-        low=_POSITIVE,
+        low=POSITIVE,
         symbol="ω_max",
     )
 
@@ -171,16 +171,16 @@ class LearningSettings:
         10.0,
         "Norm that the smooth projection keeps the actor weights below.",
         symbol="W̄",
-        low=_POSITIVE,
+        low=POSITIVE,
         high=1e6,
     )
     sample_half_widths: tuple[float, ...] = setting(
-        (1.0, 1.0, 1.0, 0.5),
+        (0.1, 0.1, 0.1, 0.1),
         "Half-width of the grid of sampled states about the origin, along s [m], y [m], θ [rad] "
         "and φ (below 1, for φ = ±1 is s_p = ±∞).",
         symbol="ζ_j",
         lengths=(4,),
-        low=_POSITIVE,
+        low=POSITIVE,
         high=100.0,
     )
     samples_per_axis: tuple[int, ...] = setting(
@@ -193,14 +193,14 @@ class LearningSettings:
         read_only=_STRUCTURE,
     )
     initial_critic_weights: tuple[float, ...] = setting(
-        _PAPER_WEIGHTS,
+        _RICCATI_WEIGHTS,
         "Critic weights at the start and after ~/reset_learning, one for each term of the basis.",
         symbol="Ŵc(0)",
         low=-1e6,
         high=1e6,
     )
     initial_actor_weights: tuple[float, ...] = setting(
-        _PAPER_WEIGHTS,
+        _RICCATI_WEIGHTS,
         "Actor weights at the start and after ~/reset_learning, one for each term of the basis.",
         symbol="Ŵa(0)",
         low=-1e6,

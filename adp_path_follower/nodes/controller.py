@@ -26,7 +26,6 @@ from adp_path_follower.core.schema import flatten, yaml_text
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State, Status, Supervisor
 from adp_path_follower.nodes.conversions import (
-    NANOSECONDS,
     Measurement,
     MessageError,
     measurement_of,
@@ -76,8 +75,6 @@ class PathFollowerNode(LifecycleNode):
         self._measurement: Measurement | None = None
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
-        self._cost = 0.0
-        self._last_cost_rate = 0.0
         self._stop_until = 0.0
         self._shown = Status(State.WAITING)
         self._next_diagnostics = 0.0
@@ -246,18 +243,15 @@ class PathFollowerNode(LifecycleNode):
         assert self._measurement is not None  # there is no FOLLOWING without odometry
         pose = self._measurement.pose_at(time)
         follower = self._follower or self._start_following(pose)
-        elapsed = self._elapsed(follower, time)
-        output = follower.step(pose, elapsed)
+        output = follower.step_at(pose, time)
         if not np.isfinite(output.command).all():
             follower.reset_learning()
             self._supervisor.command_refused("the learner's command is not finite")
             self._update_status()
             return
-        self._cost += 0.5 * elapsed * (self._last_cost_rate + float(output.running_cost))
-        self._last_cost_rate = float(output.running_cost)
         self._last_command, self._step_time = output.command, time
         self._send(output.command, time)
-        self._telemetry.step(time, self._path_frame, output, self._cost)
+        self._telemetry.step(time, self._path_frame, output, float(follower.cost))
         if steady.monotonic() >= self._next_markers:
             self._next_markers = steady.monotonic() + _MARKER_PERIOD
             self._telemetry.markers(time, self._path_frame, follower.path, output)
@@ -269,18 +263,8 @@ class PathFollowerNode(LifecycleNode):
         beginning = self._settings.controller.path_start == "beginning"
         arc_length = 0.0 if beginning else self._path.nearest(pose)
         self._follower = PathFollower(self._settings, self._path, arc_length, self._weights)
-        self._cost, self._step_time = 0.0, None
+        self._step_time = None
         return self._follower
-
-    def _elapsed(self, follower: PathFollower, time: int) -> float:
-        """Return the time [s] since the last step; none after a gap, so that nothing jumps."""
-        if self._step_time is None:
-            return 0.0
-        elapsed = (time - self._step_time) / NANOSECONDS
-        if not 0.0 < elapsed <= self._settings.controller.odom_timeout:
-            follower.hold()
-            return 0.0
-        return elapsed
 
     def _send(self, command: FloatArray, time: int) -> None:
         if self._settings.controller.enable_stamped_cmd_vel:
@@ -331,7 +315,7 @@ class PathFollowerNode(LifecycleNode):
         values = {"version": __version__}
         if self._follower is not None:
             values["arc_length [m]"] = f"{float(self._follower.arc_length):.3f}"
-            values["cost"] = f"{self._cost:.6g}"
+            values["cost"] = f"{float(self._follower.cost):.6g}"
         self._telemetry.diagnostics(self._now(), self._shown, self._path_problem, values)
 
     def _publish_configuration(self) -> None:

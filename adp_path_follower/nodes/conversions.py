@@ -12,7 +12,7 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 from adp_path_follower.core.errors import AdpError, PathError
-from adp_path_follower.core.geometry import FloatArray, advance_pose
+from adp_path_follower.core.geometry import FloatArray, advance_pose, yaw_of_quaternion
 from adp_path_follower.core.path import MAX_POINTS, Path
 
 NANOSECONDS = 1_000_000_000
@@ -78,7 +78,7 @@ def yaw_of(rotation: Quaternion) -> float:
         raise MessageError(f"orientation is not finite: x {x}, y {y}, z {z}, w {w}")
     if squared_norm < 1e-6:
         raise MessageError("orientation is a quaternion of zero norm")
-    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return yaw_of_quaternion(x, y, z, w)
 
 
 def quaternion_of(yaw: float) -> Quaternion:

@@ -8,12 +8,10 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from adp_path_follower.core.parameter_file import own_parameters
 from adp_path_follower.core.schema import SettingField, build, flatten, setting_fields, update
 
 Tree = TypeVar("Tree")
-
-_ROS_NAMES = ("use_sim_time", "start_type_description_service")
-_ROS_PREFIXES = ("qos_overrides.",)
 
 
 def declare_settings(node: Node, tree: type[Tree]) -> Tree:
@@ -51,11 +49,7 @@ def changed_settings(current: Tree, parameters: list[Parameter]) -> Tree:
 
 def own_values(parameters: list[Parameter]) -> dict[str, object]:
     """Return name: value of the parameters that are not ROS's own."""
-    return {
-        parameter.name: parameter.value
-        for parameter in parameters
-        if parameter.name not in _ROS_NAMES and not parameter.name.startswith(_ROS_PREFIXES)
-    }
+    return own_parameters({parameter.name: parameter.value for parameter in parameters})
 
 
 def descriptor(field: SettingField) -> ParameterDescriptor:

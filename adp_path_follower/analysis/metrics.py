@@ -1,0 +1,145 @@
+"""Numbers that describe a run."""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.bags.reader import Run
+from adp_path_follower.bags.replay import Replay
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.simulation import PAPER_START, motion_cost
+
+COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
+_TRANSIENT = 10.0  # [s] after which the tracking error counts
+_SETTLED = 0.02  # of the initial error
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The offline optimum from the paper's start.
+
+    Attributes:
+        cost: J*.
+        time: Shape (N,) [s].
+        error: e = [s, y, theta], shape (N, 3).
+        modified_input: u = [v_e, w_e], shape (N, 2).
+
+    """
+
+    cost: float
+    time: FloatArray
+    error: FloatArray
+    modified_input: FloatArray
+
+
+def paper_optimum() -> Optimum:
+    """Return the optimum that comes with the package."""
+    file = importlib.resources.files("adp_path_follower") / "data" / "paper_optimum.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    return Optimum(
+        cost=float(content["cost"]),
+        time=np.array(content["t"]),
+        error=np.array(content["e"]),
+        modified_input=np.array(content["u"]),
+    )
+
+
+@dataclass(frozen=True)
+class RunMetrics:
+    """Summary of a run; a number that the run is too short for is NaN.
+
+    Attributes:
+        duration: Time from the first to the last control step [s].
+        cost: J over the first 30 s, along the true motion.
+        optimal_cost: J* from the same start, NaN where it is not known.
+        cross_track_rms: RMS of y after 10 s [m].
+        cross_track_max: Largest |y| after 10 s [m].
+        settling_time: Time after which |e| stays below 2 % of its start [s].
+        excitation_min: Smallest certificate during the run.
+        control_rate: Control steps per second of the run's time [Hz].
+        commands: Number of control steps.
+        identical_commands: How many of them `PathFollower` repeats to the last bit.
+        messages: Number of messages in the bag.
+
+    """
+
+    duration: float
+    cost: float
+    optimal_cost: float
+    cross_track_rms: float
+    cross_track_max: float
+    settling_time: float
+    excitation_min: float
+    control_rate: float
+    commands: int
+    identical_commands: int
+    messages: int
+
+    @property
+    def cost_ratio(self) -> float:
+        """Return J / J*."""
+        return self.cost / self.optimal_cost
+
+
+def measure(run: Run, replay: Replay) -> RunMetrics:
+    """Return the summary of a run and its replay."""
+    time = (replay.stamp - replay.stamp[0]) * 1e-9
+    error = np.array([output.error for output in replay.outputs])
+    late = np.abs(error[time >= _TRANSIENT, 1])
+    size = np.linalg.norm(error, axis=1)
+    outside = np.flatnonzero(size >= _SETTLED * size[0])
+    last = int(outside[-1]) if len(outside) else -1
+    duration = float(time[-1])
+    excitation = run.series.get("excitation")
+    return RunMetrics(
+        duration=duration,
+        cost=_cost(replay, time),
+        optimal_cost=paper_optimum().cost if _is_paper_problem(replay, error[0]) else math.nan,
+        cross_track_rms=float(np.sqrt(np.mean(late**2))) if len(late) else math.nan,
+        cross_track_max=float(late.max()) if len(late) else math.nan,
+        settling_time=float(time[last + 1]) if last + 1 < len(time) else math.nan,
+        excitation_min=float(excitation.values.min()) if excitation is not None else math.nan,
+        control_rate=(len(time) - 1) / duration if duration > 0.0 else math.nan,
+        commands=len(time),
+        identical_commands=int(replay.identical.sum()),
+        messages=sum(run.message_counts.values()),
+    )
+
+
+def _cost(replay: Replay, time: FloatArray) -> float:
+    """Return J over the horizon, from each odometry pose along the command that followed it."""
+    if time[-1] < COST_HORIZON - 1e-6:
+        return math.nan
+    total = 0.0
+    for step in np.flatnonzero(time[:-1] < COST_HORIZON - 1e-6):
+        output = replay.outputs[step]
+        spent, _ = motion_cost(
+            replay.follower,
+            replay.odometry[step, :3],
+            replay.recorded[step],
+            output.arc_length,
+            float(time[step + 1] - time[step]),
+        )
+        total += float(spent)
+    return total
+
+
+def _is_paper_problem(replay: Replay, first_error: FloatArray) -> bool:
+    """Return whether the optimum that is known is the one of this run."""
+    settings, standard = replay.follower.settings, build(Settings, {})
+    same_problem = settings.target == standard.target and settings.cost == standard.cost
+    place = np.array([replay.outputs[0].arc_length, replay.follower.path.length])
+    return bool(
+        same_problem
+        and settings.limits.unlimited
+        and np.allclose(place, [0.0, lissajous().length], atol=1e-3)
+        and np.allclose(first_error, PAPER_START, atol=1e-6)
+    )

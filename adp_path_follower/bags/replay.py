@@ -1,0 +1,80 @@
+"""Feed the odometry of a recorded run to `PathFollower` again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.bags.reader import Run
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.files import parse_yaml
+from adp_path_follower.core.follower import FollowerOutput, PathFollower
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What `PathFollower` makes of recorded odometry.
+
+    Attributes:
+        follower: The follower after the run.
+        stamp: Time of each control step [ns], shape (N,).
+        odometry: x, y, theta, v, w at each step, shape (N, 5).
+        recorded: The commands [v, w] in the bag, shape (N, 2).
+        outputs: What the follower gave, one for each step.
+
+    """
+
+    follower: PathFollower
+    stamp: np.ndarray
+    odometry: FloatArray
+    recorded: FloatArray
+    outputs: list[FollowerOutput]
+
+    @property
+    def identical(self) -> np.ndarray:
+        """Return for each step whether both commands are equal to the last bit, shape (N,)."""
+        commands = np.array([output.command for output in self.outputs])
+        return np.asarray((commands == self.recorded).all(axis=1))
+
+
+def replay(run: Run) -> Replay:
+    """Replay a run whose control steps were started by odometry (control_trigger: odometry).
+
+    Raises:
+        FileError: The bag lacks odometry, commands, path or configuration, or its steps were
+            started by a timer.
+
+    """
+    for name in ("odom", "cmd_vel"):
+        if name not in run.series:
+            raise FileError(f"the bag has no messages on '{name}': nothing to replay")
+    configuration = parse_yaml(run.configuration) if run.configuration else None
+    if not isinstance(configuration, dict) or not len(run.path_points):
+        raise FileError("the bag has no path or no path_follower/configuration to replay")
+    settings = build(Settings, configuration["settings"])
+    if settings.controller.control_trigger != "odometry":
+        raise FileError("the bag was recorded with control_trigger: timer; replay needs odometry")
+    path = Path.from_points(run.path_points)
+    # The simulator repeats odometry that was not answered in time, the controller its answer:
+    # the first of each stamp counts.
+    odometry_stamps, first = np.unique(run.series["odom"].stamp, return_index=True)
+    odometry = run.series["odom"].values[first]
+    command_stamps, first = np.unique(run.series["cmd_vel"].stamp, return_index=True)
+    commands = run.series["cmd_vel"].values[first]
+    steps, in_odometry, in_commands = np.intersect1d(
+        odometry_stamps, command_stamps, return_indices=True
+    )
+    if not len(steps):
+        raise FileError("no command in the bag answers an odometry message: nothing to replay")
+    odometry, commands = odometry[in_odometry], commands[in_commands]
+    at_beginning = settings.controller.path_start == "beginning"
+    follower = PathFollower(settings, path, 0.0 if at_beginning else path.nearest(odometry[0, :3]))
+    outputs = [
+        follower.step_at(row[:3], int(stamp)) for row, stamp in zip(odometry, steps, strict=True)
+    ]
+    return Replay(follower, steps, odometry, commands, outputs)

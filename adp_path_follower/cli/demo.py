@@ -1,0 +1,169 @@
+"""`adp demo`: the paper's run with real ROS 2 nodes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from adp_path_follower.cli.options import FILE, path_option, settings_options, write_json
+from adp_path_follower.core.errors import AdpError, FileError
+from adp_path_follower.core.parameter_file import load_settings
+from adp_path_follower.core.path import Path as FollowedPath
+from adp_path_follower.core.path_library import named_path
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.shared_files import config_file
+from adp_path_follower.simulation import PAPER_START
+
+
+@click.command()
+@settings_options
+@path_option
+@click.option(
+    "--out",
+    "directory",
+    type=FILE,
+    metavar="DIR",
+    help="Where bag, figures and report go: a new or empty directory "
+    "(adp_demo_DATE if it is not given).",
+)
+@click.option(
+    "--duration",
+    type=click.FloatRange(1.0, 3600.0),
+    default=60.0,
+    show_default=True,
+    help="Simulated time [s].",
+)
+def demo(
+    params: Path | None,
+    assignments: tuple[str, ...],
+    path_name: str,
+    directory: Path | None,
+    duration: float,
+) -> None:
+    r"""Drive the paper's figure eight with real ROS 2 nodes.
+
+    Starts the controller, the unicycle simulator, the path publisher and the recorder as
+    processes on a ROS domain of their own, in simulated time and in lock-step: as fast as this
+    machine can, and with the same commands on every machine. Then it draws the paper's figures 2
+    to 5 from the bag and prints a summary.
+
+    \b
+    The paper's laws and constants:     adp demo
+    With other parameters:              adp demo --params my_robot.yaml --set target_gain=0.3
+    On a circle of 2 m radius:          adp demo --path circle:0.5
+    """
+    settings = load_settings(
+        Settings, "path_follower", params or config_file("paper.yaml"), assignments
+    )
+    path = named_path(path_name)
+    _require_ros()
+    directory = _new_directory(directory)
+    started = time.monotonic()
+    bag = _run(settings, path, path_name, duration, directory)
+    _report(bag, directory, duration, time.monotonic() - started)
+
+
+def _require_ros() -> None:
+    try:
+        import rclpy  # noqa: F401  # only whether it is there
+    except ImportError:
+        raise AdpError(
+            "ROS 2 is missing: source a Jazzy installation, or install its wheels with: "
+            "pip install 'adp_path_follower[jazzy]'"
+        ) from None
+
+
+def _new_directory(directory: Path | None) -> Path:
+    """Return the output directory, made if needed.
+
+    Raises:
+        FileError: It holds files already, or cannot be made.
+
+    """
+    if directory is None:
+        directory = Path(datetime.now().strftime("adp_demo_%Y_%m_%d-%H_%M_%S"))
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if any(directory.iterdir()):
+            raise FileError(f"output {directory} holds files already: give a new directory")
+    except FileExistsError:
+        raise FileError(f"output {directory} is a file: give a directory") from None
+    except PermissionError:
+        raise FileError(f"output {directory} cannot be made: permission denied") from None
+    return directory
+
+
+def _run(
+    settings: Settings, path: FollowedPath, path_name: str, duration: float, directory: Path
+) -> Path:
+    """Run the nodes with a progress bar and return the bag."""
+    from adp_path_follower.nodes.closed_loop import Progress, run_closed_loop
+
+    text = {"": "starting the nodes"}
+    shown = 0.0
+    bar: Any
+    with click.progressbar(
+        length=1000,
+        label="driving",
+        bar_template="%(label)s  [%(bar)s]  %(info)s",
+        item_show_func=lambda _: text[""],
+        width=30,
+    ) as bar:
+
+        def report(progress: Progress | None) -> None:
+            nonlocal shown
+            now = time.monotonic()
+            if now - shown < 0.2:  # [s] between two looks at the bar
+                return
+            shown = now
+            if progress is None:
+                bar.render_progress()
+                return
+            lap = path.nearest(progress.target_pose) / path.length
+            distance = np.linalg.norm(progress.error[:2])
+            text[""] = (
+                f"{progress.time:5.1f} s of {duration:g} s, {100.0 * lap:3.0f} % of the "
+                f"{'lap' if path.closed else 'path'}, error {1000.0 * distance:7.1f} mm"
+            )
+            bar.update(int(1000.0 * min(1.0, progress.time / duration)) - bar.pos, None)
+
+        bag = run_closed_loop(
+            settings, path, path_name, np.array(PAPER_START), duration, directory, report
+        )
+        bar.update(1000 - bar.pos)
+    return bag
+
+
+def _report(bag: Path, directory: Path, duration: float, wall_time: float) -> None:
+    """Draw, measure, write and print what happened."""
+    from adp_path_follower.analysis.figures import draw_figures
+    from adp_path_follower.analysis.metrics import measure, paper_optimum
+    from adp_path_follower.bags.reader import read_run
+    from adp_path_follower.bags.replay import replay
+    from adp_path_follower.cli.summary import summary_markdown, summary_table
+
+    click.echo("reading the bag and drawing the figures")
+    run = read_run(bag)
+    replayed = replay(run)
+    metrics = measure(run, replayed)
+    known = math.isfinite(metrics.optimal_cost)
+    figures = draw_figures(run, replayed, directory / "figures", paper_optimum() if known else None)
+    summary = {**dataclasses.asdict(metrics), "cost_ratio": metrics.cost_ratio}
+    summary |= {"wall_time": wall_time, "real_time_factor": duration / wall_time}
+    write_json(directory / "summary.json", summary)
+    (directory / "report.md").write_text(
+        summary_markdown(metrics, [file.relative_to(directory) for file in figures]),
+        encoding="utf-8",
+    )
+    click.echo(summary_table(metrics))
+    click.echo(
+        f"\n{duration:g} s of simulated time took {wall_time:.0f} s. In {directory}: report.md, "
+        f"figures/, bag/ (rosbag2, MCAP), summary.json, logs/"
+    )

@@ -1,0 +1,72 @@
+"""The `adp` command: its sub-commands, each imported only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from adp_path_follower import __version__
+from adp_path_follower.core.errors import AdpError
+
+_COMMANDS = {
+    "demo": "Drive the paper's figure eight with real ROS 2 nodes.",
+    "parameters": "Show the parameters, as a YAML file or as a table.",
+    "simulate": "Simulate the closed loop without ROS, from one or many starts.",
+}
+
+
+class _LazyGroup(click.Group):
+    """A group that lists its commands without importing them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        module = importlib.import_module(f"adp_path_follower.cli.{cmd_name}")
+        command: click.Command = getattr(module, cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_COMMANDS.items()))
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="adp")
+def adp() -> None:
+    r"""Follow paths with a unicycle robot by online approximate optimal control.
+
+    \b
+    See it:          adp demo
+    Try a setting:   adp simulate --params config/paper.yaml --set actor_gain=2
+    What is there:   adp parameters
+
+    Every command answers to --help.
+    """
+
+
+def main() -> None:
+    """Run the command; a bad input is one sentence and exit code 2."""
+    try:
+        code = adp.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("adp: interrupted", err=True)
+        code = 130
+    except AdpError as error:
+        click.echo(f"adp: {error}", err=True)
+        code = 2
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output has gone: nobody to tell
+        code = 141
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

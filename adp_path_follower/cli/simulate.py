@@ -1,0 +1,181 @@
+"""`adp simulate`: the closed loop without ROS."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+import numpy as np
+
+from adp_path_follower.cli.options import (
+    FILE,
+    check_writable,
+    path_option,
+    settings_options,
+    write_json,
+)
+from adp_path_follower.core.files import read_csv_columns
+from adp_path_follower.core.parameter_file import load_settings
+from adp_path_follower.core.path_library import named_path
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.simulation import (
+    LEARNING_MODES,
+    PAPER_START,
+    SimulationResult,
+)
+from adp_path_follower.simulation import (
+    simulate as run_simulation,
+)
+
+_ROWS_SHOWN = 20
+
+
+@click.command()
+@settings_options
+@path_option
+@click.option(
+    "--start",
+    "starts",
+    type=(float, float, float),
+    multiple=True,
+    metavar="S Y THETA",
+    help="Initial error to the virtual target [m, m, rad]; may be given several times. "
+    "The paper's (-0.5 0.25 -0.5236) if there is none.",
+)
+@click.option(
+    "--starts",
+    "starts_file",
+    type=FILE,
+    metavar="FILE.csv",
+    help="Initial errors as a CSV file with the columns s,y,theta.",
+)
+@click.option(
+    "--start-arc-length",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Where on the path the virtual target starts [m].",
+)
+@click.option("--duration", type=float, default=30.0, show_default=True, help="Time [s].")
+@click.option("--rate", type=float, default=100.0, show_default=True, help="Control rate [Hz].")
+@click.option(
+    "--learning",
+    type=click.Choice(LEARNING_MODES),
+    default="cold",
+    show_default=True,
+    help="cold: the parameters' weights at t = 0; warm: learned at the start until they settle "
+    "before the clock runs; frozen: never changed.",
+)
+@click.option(
+    "--json", "json_file", type=FILE, metavar="FILE", help="Write the outcome of each run."
+)
+@click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the trajectories.")
+def simulate(
+    params: Path | None,
+    assignments: tuple[str, ...],
+    path_name: str,
+    starts: tuple[tuple[float, float, float], ...],
+    starts_file: Path | None,
+    start_arc_length: float,
+    duration: float,
+    rate: float,
+    learning: str,
+    json_file: Path | None,
+    npz_file: Path | None,
+) -> None:
+    r"""Simulate the closed loop without ROS, from one or many starts.
+
+    The cost J is integrated along the true motion of the robot.
+
+    \b
+    The paper's run:
+        adp simulate --params config/paper.yaml --duration 40
+    Its initial weights, without learning:
+        adp simulate --params config/paper.yaml --duration 40 --learning frozen
+    A thousand starts:
+        adp simulate --starts starts.csv --json runs.json
+    """
+    settings = load_settings(Settings, "path_follower", params, assignments)
+    path = named_path(path_name)
+    errors = np.array(starts, dtype=float).reshape(-1, 3)
+    if starts_file is not None:
+        errors = np.vstack([errors, read_csv_columns(starts_file, ("s", "y", "theta"))])
+    if not len(errors):
+        errors = np.array([PAPER_START])
+    check_writable(json_file, npz_file)
+    with click.progressbar(
+        length=1000,
+        label=f"simulating {len(errors)} runs of {duration:g} s",
+        file=sys.stderr,
+    ) as bar:
+
+        def progress(fraction: float) -> None:
+            bar.update(int(1000 * fraction) - bar.pos)
+
+        result = run_simulation(
+            settings,
+            path,
+            errors,
+            start_arc_length=start_arc_length,
+            duration=duration,
+            rate=rate,
+            learning=learning,
+            record=npz_file is not None,
+            progress=progress,
+        )
+        progress(1.0)
+    if json_file is not None:
+        write_json(json_file, {"runs": _runs(result)})
+    if npz_file is not None and result.trajectories is not None:
+        arrays = dict(vars(result.trajectories))
+        np.savez_compressed(npz_file, starts=result.starts, **arrays)
+    click.echo(_table(result))
+
+
+def _runs(result: SimulationResult) -> list[dict[str, object]]:
+    """Return the runs as JSON has them."""
+    return [
+        {
+            "start": result.starts[run].tolist(),
+            "cost": float(result.cost[run]),
+            "final_error": result.final_error[run].tolist(),
+            "settled": bool(np.isfinite(result.settling_time[run])),
+            "settling_time": float(result.settling_time[run]),
+            "max_inputs": result.max_inputs[run].tolist(),
+            "critic_weights": result.weights.critic[run].tolist(),
+            "actor_weights": result.weights.actor[run].tolist(),
+            "excitation": float(result.excitation[run]),
+            "failed": bool(result.failed[run]),
+        }
+        for run in range(len(result.starts))
+    ]
+
+
+def _table(result: SimulationResult) -> str:
+    """Return the runs as a table, and what they have in common."""
+    count = len(result.starts)
+    lines = ["   s [m]   y [m]  θ [rad]        cost J  settled [s]   |e| at the end"]
+    for run in range(min(count, _ROWS_SHOWN)):
+        s, y, theta = result.starts[run]
+        settled = result.settling_time[run]
+        settled_text = f"{settled:11.2f}" if np.isfinite(settled) else "          –"
+        end = np.linalg.norm(result.final_error[run])
+        end_text = "left the path" if result.failed[run] else f"{end:.3e}"
+        lines.append(
+            f"{s:8.3f}{y:8.3f}{theta:9.3f}{result.cost[run]:14.6f}  {settled_text}   {end_text}"
+        )
+    if count > _ROWS_SHOWN:
+        lines.append(f"… and {count - _ROWS_SHOWN} more")
+    if count > 1:
+        sound = result.cost[~result.failed]
+        summary = "none finished"
+        if len(sound):
+            median, high = np.quantile(sound, [0.5, 0.95])
+            summary = f"median {median:.6f}, 95 % {high:.6f}, maximum {sound.max():.6f}"
+        settled_count = int(np.isfinite(result.settling_time).sum())
+        lines.append(
+            f"cost J: {summary}; {settled_count} of {count} settled to |e| < 0.05, "
+            f"{int(result.failed.sum())} failed"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,179 @@
+"""Controller, simulator, path publisher and recorder as processes, in lock-step."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.schema import flatten
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.nodes.processes import NodeProcess, own_domain
+
+_READY_TIMEOUT = 60.0  # [s] for a slow machine to import rclpy four times
+_STALL_TIMEOUT = 30.0  # [s] without any step
+# Lock-step waits for the machine, so wall time says nothing about the odometry.
+_LOCKSTEP = {"control_trigger": "odometry", "path_start": "beginning", "odom_timeout": 30.0}
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run is.
+
+    Attributes:
+        time: Simulated time since the start [s].
+        error: e = [s, y, theta], shape (3,).
+        target_pose: Pose of the virtual target, shape (3,).
+
+    """
+
+    time: float
+    error: FloatArray
+    target_pose: FloatArray
+
+
+def run_closed_loop(
+    settings: Settings,
+    path: Path,
+    path_name: str,
+    start: FloatArray,
+    duration: float,
+    directory: FilePath,
+    report: Callable[[Progress | None], None],
+) -> FilePath:
+    """Run the four nodes in lock-step and return the bag.
+
+    Args:
+        settings: The controller's settings; what lock-step needs is changed.
+        path: The path, for the robot's start.
+        path_name: Its name, for the publisher.
+        start: Initial error [s, y, theta] to the beginning of the path.
+        duration: Simulated time [s].
+        directory: Where the bag and the nodes' logs go.
+        report: Called while waiting (None) and after every step that was seen.
+
+    Raises:
+        AdpError: A node ended early or the run does not go on; the message says which and why.
+
+    """
+    logs = directory / "logs"
+    logs.mkdir()
+    bag = directory / "bag"
+    x, y, theta = pose_in_frame(start, path.frame(0.0).pose).tolist()
+    with own_domain() as domain:
+        nodes: list[NodeProcess] = []
+
+        def launch(executable: str, parameters: dict[str, Any]) -> NodeProcess:
+            log = logs / f"{executable}.log"
+            nodes.append(NodeProcess(executable, parameters, log=log, domain=domain))
+            return nodes[-1]
+
+        try:
+            controller = launch("controller", {**flatten(settings), **_LOCKSTEP, **_SIM_TIME})
+            recorder = launch("recorder", {"output": str(bag), **_SIM_TIME})
+            simulator = launch(
+                "sim_unicycle",
+                {"lockstep": True, "duration": duration, "x": x, "y": y, "theta": theta},
+            )
+            _wait(lambda: report(None), recorder, [controller, simulator])
+            launch("path_publisher", {"path": path_name})
+            _Monitor(domain).watch(simulator, nodes, report)
+        finally:
+            # The recorder last: it must hear the others' last words.
+            for node in sorted(nodes, key=lambda node: node.name == "recorder"):
+                node.stop()
+    if recorder.process.returncode != 0:
+        raise AdpError(f"the recorder failed: {recorder.last_line()}")
+    return bag
+
+
+_SIM_TIME = {"use_sim_time": True}
+
+
+def _wait(idle: Callable[[], None], recorder: NodeProcess, others: list[NodeProcess]) -> None:
+    """Wait until the recorder listens to the simulator and to the controller's last topic."""
+    deadline = time.monotonic() + _READY_TIMEOUT
+    expected = ("recording /odom", "recording /cmd_vel", "recording /path_follower/tracking_error")
+    while not all(text in recorder.output() for text in expected):
+        for node in (recorder, *others):
+            if node.process.poll() is not None:
+                raise AdpError(f"{node.name} ended early: {node.last_line()}")
+        if time.monotonic() > deadline:
+            raise AdpError(
+                f"the nodes did not find each other in {_READY_TIMEOUT:g} s; their logs are in "
+                f"{recorder.log.parent}"
+            )
+        idle()
+        time.sleep(0.05)
+
+
+class _Monitor:
+    """Listen to a run until its simulator ends."""
+
+    def __init__(self, domain: int) -> None:
+        # rclpy reads both when it is initialised.
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        self._target = np.zeros(3)
+        self._start: int | None = None
+        self._progress: Progress | None = None
+
+    def watch(
+        self,
+        simulator: NodeProcess,
+        nodes: list[NodeProcess],
+        report: Callable[[Progress | None], None],
+    ) -> None:
+        """Report until the simulator ends; raise if another node does, or nothing happens."""
+        import rclpy  # here, so that `adp` works without ROS
+        from geometry_msgs.msg import PoseStamped, Vector3Stamped
+        from rclpy.qos import qos_profile_sensor_data as newest
+        from rclpy.signals import SignalHandlerOptions
+
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node("monitor")
+        node.create_subscription(
+            Vector3Stamped, "path_follower/tracking_error", self._receive_error, newest
+        )
+        node.create_subscription(PoseStamped, "path_follower/target", self._receive_target, newest)
+        seen, seen_at = None, time.monotonic()
+        try:
+            while simulator.process.poll() is None:
+                rclpy.spin_once(node, timeout_sec=0.05)
+                if self._progress is not seen:
+                    seen, seen_at = self._progress, time.monotonic()
+                report(self._progress)
+                for other in nodes:
+                    if other is not simulator and other.process.poll() is not None:
+                        raise AdpError(f"{other.name} ended early: {other.last_line()}")
+                if time.monotonic() - seen_at > _STALL_TIMEOUT:
+                    raise AdpError(
+                        f"the run stands still; the nodes' logs are in {simulator.log.parent}"
+                    )
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown()
+        if simulator.process.returncode != 0:
+            raise AdpError(f"the simulator failed: {simulator.last_line()}")
+
+    def _receive_target(self, message: Any) -> None:
+        from adp_path_follower.core.geometry import yaw_of_quaternion
+
+        p, q = message.pose.position, message.pose.orientation
+        self._target = np.array([p.x, p.y, yaw_of_quaternion(q.x, q.y, q.z, q.w)])
+
+    def _receive_error(self, message: Any) -> None:
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if self._start is None:
+            self._start = stamp
+        vector = message.vector
+        error = np.array([vector.x, vector.y, vector.z])
+        self._progress = Progress((stamp - self._start) * 1e-9, error, self._target)

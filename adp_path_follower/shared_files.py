@@ -1,0 +1,29 @@
+"""Where the files lie that come with the package: parameter files."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from adp_path_follower.core.errors import FileError
+
+PACKAGE = "adp_path_follower"
+
+
+def config_file(name: str) -> Path:
+    """Return a parameter file of the package, such as "paper.yaml", wherever it is installed.
+
+    Raises:
+        FileError: There is no such file.
+
+    """
+    prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    # With colcon, the prefix lies above .../lib/pythonX.Y/site-packages/adp_path_follower.
+    prefixes += [str(parent) for parent in Path(__file__).resolve().parents[:6]]
+    source = Path(__file__).resolve().parents[1] / "config" / name
+    installed = [Path(prefix) / "share" / PACKAGE / "config" / name for prefix in prefixes]
+    for file in (source, *installed):
+        if file.is_file():
+            return file
+    raise FileError(f"parameter file {name} did not come with this installation: install it again")
