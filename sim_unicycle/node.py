@@ -152,7 +152,7 @@ class SimulatorNode(Node):
         if now - self._sent_at < _RESEND_PERIOD:
             return
         self._sent_at = now
-        self._odometry.publish(self._message)
+        self._send_state()
         if now - self._reminded_at > _REMINDER:
             self._reminded_at = now
             self.get_logger().warning(
@@ -183,13 +183,18 @@ class SimulatorNode(Node):
             self._clock_publisher.publish(
                 ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds))
             )
-        simulation = self._settings.simulation
+        simulation, robot = self._settings.simulation, self._robot
         frames = simulation.odom_frame, simulation.base_frame
-        robot = self._robot
-        self._ground_truth.publish(odometry_message(self._time, robot.pose, robot.twist, frames))
-        # Kept, so that lock-step repeats the same message: the same noise.
-        self._message = odometry_message(self._time, robot.measured_pose(), robot.twist, frames)
-        self._odometry.publish(self._message)
+        # Kept, so that lock-step repeats the same messages: the same noise.
+        self._truth_message = odometry_message(self._time, robot.pose, robot.twist, frames)
+        self._odometry_message = odometry_message(
+            self._time, robot.measured_pose(), robot.twist, frames
+        )
+        self._send_state()
+
+    def _send_state(self) -> None:
+        self._ground_truth.publish(self._truth_message)
+        self._odometry.publish(self._odometry_message)
 
 
 def main() -> int:

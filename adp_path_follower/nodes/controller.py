@@ -58,6 +58,7 @@ class PathFollowerNode(LifecycleNode):
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._supervisor = Supervisor(self._settings.controller.odom_timeout)
         self._active = False
+        self._heard = False  # whether anybody has listened to commands since the activation
         self._command_publisher: Any = None
         self._entities: list[tuple[Any, Any]] = []
         self._forget_run()
@@ -110,7 +111,7 @@ class PathFollowerNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Allow commands; zero velocity first."""
         self._active = True
-        self._stop_until = steady.monotonic() + _STOP_DURATION
+        self._heard = False
         self._send(_ZERO, self._now())
         self.get_logger().info("active: following as soon as there are odometry and a path")
         return super().on_activate(state)
@@ -283,6 +284,10 @@ class PathFollowerNode(LifecycleNode):
         if not self._active:
             return
         now = steady.monotonic()
+        if not self._heard and self._command_publisher.get_subscription_count():
+            # What was said before the robot listened is lost, so the first stop starts now.
+            self._heard = True
+            self._stop_until = now + _STOP_DURATION
         if self._update_status().state is not State.FOLLOWING and now < self._stop_until:
             self._send(_ZERO, self._now())
         if now >= self._next_diagnostics:

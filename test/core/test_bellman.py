@@ -1,0 +1,227 @@
+"""Bellman errors against plain loops over the printed formulas."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from adp_path_follower.core.bellman import (
+    SampledModel,
+    bellman_errors,
+    excitation,
+    measured_error,
+    sample_grid,
+)
+from adp_path_follower.core.path_library import circle, lissajous
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+
+PATHS = {"figure eight": lissajous(), "circle": circle(-0.8)}
+weights = npst.arrays(float, 9, elements=st.floats(-3.0, 3.0))
+
+
+@st.composite
+def costs(draw, size, margin):
+    """Return a symmetric matrix whose eigenvalues are at least the margin, row by row."""
+    root = draw(npst.arrays(float, (size, size), elements=st.floats(-1.0, 1.0)))
+    matrix = root @ root.T
+    matrix = 0.5 * (matrix + matrix.T) + margin * np.eye(size)
+    return tuple(matrix.ravel().tolist())
+
+
+def naive_errors(printed, values, path, critic, actor):
+    """Return delta, omega and p of every sample, one after the other."""
+    state_cost = np.array(values["state_cost"])
+    state_cost = np.diag(state_cost) if len(state_cost) == 3 else state_cost.reshape(3, 3)
+    input_cost = np.array(values["input_cost"])
+    input_cost = np.diag(input_cost) if len(input_cost) == 2 else input_cost.reshape(2, 2)
+    axes = [
+        np.linspace(-width, width, count) if count > 1 else [0.0]
+        for width, count in zip(
+            values["sample_half_widths"], values["samples_per_axis"], strict=True
+        )
+    ]
+    found = []
+    for zeta in itertools.product(*axes):
+        kappa = float(path.curvature(math.atanh(zeta[3]) / printed.k2))
+        steady = np.array([printed.v_des, kappa * printed.v_des])
+        sigma = printed.gradient(zeta)
+        gain = printed.input_matrix(zeta)
+        wanted = -0.5 * np.linalg.solve(input_cost, gain.T @ sigma.T @ actor)
+        v = min(max(wanted[0] + steady[0], values["min_linear_vel"]), values["max_linear_vel"])
+        bound = values["max_angular_vel"]
+        w = min(max(wanted[1] + steady[1], -bound), bound)
+        applied = np.array([v, w]) - steady
+        omega = sigma @ (printed.drift(zeta, kappa) + gain @ applied)
+        error = np.array(zeta[:3])
+        cost = error @ state_cost @ error + applied @ input_cost @ applied
+        found.append((cost + critic @ omega, omega, math.sqrt(1.0 + omega @ omega)))
+    return found
+
+
+def assert_same(sweep, naive):
+    np.testing.assert_allclose(sweep.error, [delta for delta, _, _ in naive], atol=1e-9)
+    np.testing.assert_allclose(sweep.regressor, [omega for _, omega, _ in naive], atol=1e-9)
+    np.testing.assert_allclose(sweep.normalization, [p for _, _, p in naive], atol=1e-9)
+    size = len(naive[0][1])
+    information, gradient = np.zeros((size, size)), np.zeros(size)
+    for delta, omega, p in naive:
+        information += np.outer(omega, omega) / p
+        gradient += omega * delta / p
+    np.testing.assert_allclose(sweep.information, information, atol=1e-8)
+    np.testing.assert_allclose(sweep.gradient, gradient, atol=1e-8)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    name=st.sampled_from(sorted(PATHS)),
+    critic=weights,
+    actor=weights,
+    state_cost=costs(3, 1e-3),
+    input_cost=costs(2, 0.2),
+)
+def test_sampled_errors_without_limits(printed, paper, name, critic, actor, state_cost, input_cost):
+    values = {**paper, "state_cost": state_cost, "input_cost": input_cost}
+    model = SampledModel(build(Settings, values), PATHS[name])
+    assert len(model) == 81
+    naive = naive_errors(printed, values, PATHS[name], critic, actor)
+    assert_same(model.sweep(critic, actor), naive)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    name=st.sampled_from(sorted(PATHS)),
+    critic=weights,
+    actor=weights,
+    max_linear_vel=st.sampled_from([0.3, 0.7, math.inf]),
+    min_linear_vel=st.sampled_from([-0.2, 0.0, -math.inf]),
+    max_angular_vel=st.sampled_from([0.2, 1.0, math.inf]),
+    counts=st.tuples(*[st.integers(1, 3)] * 4),
+    input_cost=costs(2, 0.2),
+)
+def test_sampled_errors_of_limited_commands(
+    printed,
+    paper,
+    name,
+    critic,
+    actor,
+    max_linear_vel,
+    min_linear_vel,
+    max_angular_vel,
+    counts,
+    input_cost,
+):
+    values = {
+        **paper,
+        "max_linear_vel": max_linear_vel,
+        "min_linear_vel": min_linear_vel,
+        "max_angular_vel": max_angular_vel,
+        "samples_per_axis": counts,
+        "sample_half_widths": (1.5, 1.0, 0.7, 0.6),
+        "input_cost": input_cost,
+    }
+    model = SampledModel(build(Settings, values), PATHS[name])
+    assert len(model) == math.prod(counts)
+    naive = naive_errors(printed, values, PATHS[name], critic, actor)
+    assert_same(model.sweep(critic, actor), naive)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    half_widths=st.tuples(*[st.floats(0.01, 5.0)] * 4), counts=st.tuples(*[st.integers(1, 4)] * 4)
+)
+def test_the_grid_is_regular_and_symmetric_about_the_origin(half_widths, counts):
+    grid = sample_grid(half_widths, counts)
+    assert grid.shape == (math.prod(counts), 4)
+    assert len(np.unique(grid, axis=0)) == len(grid)
+    mirrored = -grid[::-1]
+    np.testing.assert_allclose(grid, mirrored, atol=1e-15)
+    for axis, (width, count) in enumerate(zip(half_widths, counts, strict=True)):
+        places = np.unique(grid[:, axis])
+        assert len(places) == count
+        if count > 1:
+            assert places[-1] == width
+            np.testing.assert_allclose(np.diff(places), 2.0 * width / (count - 1))
+        else:
+            assert places.tolist() == [0.0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    critic=weights,
+    zeta=npst.arrays(float, 4, elements=st.floats(-1.0, 1.0)),
+    zeta_rate=npst.arrays(float, 4, elements=st.floats(-2.0, 2.0)),
+    running_cost=st.floats(0.0, 10.0),
+)
+def test_the_measured_error_is_the_formula(printed, critic, zeta, zeta_rate, running_cost):
+    sigma = printed.gradient(zeta)
+    found = measured_error(critic, sigma, zeta_rate, np.array(running_cost))
+    assert found.error.shape == (1,)
+    assert found.regressor.shape == (1, 9)
+    omega = [sum(sigma[row, i] * zeta_rate[i] for i in range(4)) for row in range(9)]
+    delta = running_cost + sum(critic[row] * omega[row] for row in range(9))
+    p = math.sqrt(1.0 + sum(value**2 for value in omega))
+    np.testing.assert_allclose(found.regressor[0], omega, atol=1e-12)
+    assert found.error[0] == pytest.approx(delta, abs=1e-12)
+    assert found.normalization[0] == pytest.approx(p, rel=1e-14)
+    np.testing.assert_allclose(found.gradient, np.array(omega) * delta / p, atol=1e-11)
+    np.testing.assert_allclose(found.information, np.outer(omega, omega) / p, atol=1e-11)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    critic=npst.arrays(float, (2, 3, 9), elements=st.floats(-3.0, 3.0)),
+    actor=npst.arrays(float, (2, 3, 9), elements=st.floats(-3.0, 3.0)),
+    limited=st.booleans(),
+)
+def test_a_batch_of_weights_is_as_single_ones(paper, figure_eight, critic, actor, limited):
+    limits = {"min_linear_vel": 0.0, "max_linear_vel": 0.8, "max_angular_vel": 0.6}
+    values = {**paper, **(limits if limited else {})}
+    model = SampledModel(build(Settings, values), figure_eight)
+    together = model.sweep(critic, actor)
+    assert together.error.shape == (2, 3, 81)
+    certificates = excitation(together.information)
+    assert certificates.shape == (2, 3)
+    for index in np.ndindex(2, 3):
+        single = model.sweep(critic[index], actor[index])
+        for name in ("error", "regressor", "normalization", "information", "gradient"):
+            expected = getattr(single, name)
+            np.testing.assert_allclose(
+                getattr(together, name)[index], expected, rtol=1e-12, atol=1e-11
+            )
+        assert certificates[index] == pytest.approx(
+            float(excitation(single.information)), abs=1e-10
+        )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    regressor=npst.arrays(float, (12, 5), elements=st.floats(-3.0, 3.0)),
+    critic=npst.arrays(float, 5, elements=st.floats(-3.0, 3.0)),
+)
+def test_excitation_is_the_smallest_singular_value(regressor, critic):
+    errors = bellman_errors(critic, regressor, np.zeros(12))
+    matrix = np.zeros((5, 5))
+    for omega in regressor:
+        matrix += np.outer(omega, omega) / math.sqrt(1.0 + omega @ omega)
+    smallest = np.linalg.svd(matrix, compute_uv=False)[-1]
+    assert float(excitation(errors.information)) == pytest.approx(smallest, abs=1e-10)
+
+
+def test_the_papers_grid_determines_every_weight(paper, figure_eight):
+    tuning = build(Settings, paper)
+    initial = np.array(paper["initial_actor_weights"])
+    sweep = SampledModel(tuning, figure_eight).sweep(initial, initial)
+    assert float(excitation(sweep.information)) > 0.1
+
+
+@pytest.mark.parametrize("counts", [(1, 1, 1, 1), (2, 1, 1, 1), (2, 2, 2, 1), (1, 3, 3, 3)])
+def test_samples_that_leave_a_weight_open_do_not_excite(paper, figure_eight, counts):
+    tuning = build(Settings, {**paper, "samples_per_axis": counts})
+    initial = np.array(paper["initial_actor_weights"])
+    sweep = SampledModel(tuning, figure_eight).sweep(initial, initial)
+    assert abs(float(excitation(sweep.information))) < 1e-12

@@ -1,0 +1,196 @@
+"""Real nodes as processes, and a listener on their domain."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from adp_path_follower.core.path_library import named_path
+from adp_path_follower.nodes.conversions import odometry_message, path_message
+from adp_path_follower.nodes.processes import NodeProcess, own_domain
+
+TIMEOUT = 30.0  # [s] for anything that must happen; a loaded machine is slow, not wrong
+FRAMES = ("odom", "base_link")
+
+
+class Peer:
+    """A node in the test process: publishes, listens and calls."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        self.context.init(domain_id=domain)
+        self.node = rclpy.create_node("test_peer", context=self.context)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self.received: dict[str, list[Any]] = {}
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.odometry = self.node.create_publisher(Odometry, "odom", 10)
+        self.path = self.node.create_publisher(PathMessage, "path", latched)
+
+    def listen(self, kind: type, topic: str, qos: Any = 1000) -> list[Any]:
+        """Return the list that the topic's messages will be appended to."""
+        messages = self.received.setdefault(topic, [])
+        self.node.create_subscription(kind, topic, messages.append, qos)
+        return messages
+
+    def spin(self, seconds: float) -> None:
+        """Take messages for a time."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.01)
+
+    def until(self, condition: Callable[[], Any], what: str, timeout: float = TIMEOUT) -> None:
+        """Take messages until a condition holds; fail with a text if it never does."""
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, f"not within {timeout:g} s: {what}"
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def until_matched(self, *publishers: Any) -> None:
+        """Wait until every publisher has a subscriber."""
+        self.until(
+            lambda: all(publisher.get_subscription_count() for publisher in publishers),
+            "subscribers",
+        )
+
+    def call(self, kind: type, name: str, request: Any = None) -> Any:
+        """Return the answer of a service."""
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, f"service {name}")
+        future = client.call_async(request or kind.Request())
+        self.until(future.done, f"answer of {name}")
+        return future.result()
+
+    def set_parameter(self, node: str, name: str, value: Any) -> Any:
+        """Return the result of setting one parameter of another node."""
+        from rcl_interfaces.srv import SetParameters
+
+        request = SetParameters.Request()
+        request.parameters = [Parameter(name, value=value).to_parameter_msg()]
+        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
+
+    def send_odometry(self, pose: tuple[float, float, float], **changes: float) -> None:
+        """Publish odometry of now; `changes` replaces fields like x or qw, to break them."""
+        time_now = self.node.get_clock().now().nanoseconds
+        message = odometry_message(time_now, np.array(pose), np.zeros(2), FRAMES)
+        for name, value in changes.items():
+            if name.startswith("q"):
+                setattr(message.pose.pose.orientation, name[1:], value)
+            else:
+                setattr(message.pose.pose.position, name, value)
+        self.odometry.publish(message)
+
+    def send_path(self, name: str = "line", frame: str = "odom") -> PathMessage:
+        """Publish a named path and return the message."""
+        message = path_message(named_path(name), frame, 0, 0.1)
+        self.path.publish(message)
+        return message
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    with own_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def peer(domain: int) -> Iterator[Peer]:
+    found = Peer(domain)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def start(domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    """Start nodes that end with the test."""
+    running: list[NodeProcess] = []
+
+    def starter(executable: str, *arguments: str, **parameters: Any) -> NodeProcess:
+        log = tmp_path / f"{executable}_{len(running)}.log"
+        node = NodeProcess(executable, parameters, log=log, domain=domain, arguments=arguments)
+        running.append(node)
+        return node
+
+    yield starter
+    for node in running:
+        node.stop()
+        assert "Traceback" not in node.output(), node.output()
+
+
+def is_zero(command: TwistStamped) -> bool:
+    """Return whether a command tells the robot to stop."""
+    return command.twist.linear.x == 0.0 and command.twist.angular.z == 0.0
+
+
+class Drive:
+    """A controller that follows a line, fed with odometry at rest by the test."""
+
+    def __init__(self, peer: Peer, start: Callable[..., NodeProcess], **parameters: Any) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        self.peer = peer
+        self.commands = peer.listen(TwistStamped, "cmd_vel")
+        self.diagnostics = peer.listen(DiagnosticArray, "/diagnostics")
+        self.controller = start("controller", **parameters)
+        peer.until_matched(peer.odometry, peer.path)
+        peer.node.create_timer(0.02, self._send)
+        self.odometry: dict[str, float] | None = {}
+        peer.send_path()
+        self.until_moving()
+
+    def _send(self) -> None:
+        if self.odometry is not None:
+            self.peer.send_odometry((0.0, 0.1, 0.0), **self.odometry)
+
+    def until_moving(self) -> None:
+        """Wait for ten commands in a row that are not zero."""
+        self.commands.clear()
+        self.peer.until(
+            lambda: len(self.commands) >= 10 and not any(map(is_zero, self.commands[-10:])),
+            "commands to move",
+        )
+
+    def until_stopped(self) -> None:
+        """Wait for three zero commands in a row."""
+        self.peer.until(
+            lambda: len(self.commands) >= 3 and all(map(is_zero, self.commands[-3:])),
+            "zero velocity",
+        )
+
+    def until_diagnosed(self, text: str) -> None:
+        """Wait for a diagnostic ERROR that contains a text."""
+        self.peer.until(
+            lambda: any(
+                text in status.message and status.level == b"\x02"
+                for array in self.diagnostics
+                for status in array.status
+            ),
+            f"diagnostics with '{text}'",
+        )
+
+
+@pytest.fixture
+def drive(peer: Peer, start: Callable[..., NodeProcess]) -> Drive:
+    return Drive(peer, start)

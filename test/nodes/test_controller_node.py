@@ -1,0 +1,250 @@
+"""The controller node over real DDS: what it refuses, and that the robot is told to stop."""
+
+from __future__ import annotations
+
+import math
+import signal
+
+import pytest
+from conftest import Drive, Peer, is_zero
+from geometry_msgs.msg import Twist, TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Path as PathMessage
+from std_srvs.srv import Trigger
+
+from adp_path_follower.core.schema import setting_fields
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.nodes.parameters import descriptor
+
+pytestmark = pytest.mark.nodes
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({"desired_sped": 0.5}, "unknown setting 'desired_sped'; did you mean 'desired_speed'?"),
+        ({"desired_speed": "fast"}, "setting 'desired_speed' is 'fast', but must be a number"),
+        ({"desired_speed": -1.0}, "setting 'desired_speed' is -1.0, but must be above 0"),
+        ({"input_cost": (1.0, -1.0)}, "setting 'input_cost' is [1.0, -1.0], but must be positive"),
+        ({"initial_critic_weights": (1.0, 2.0)}, "has 2 values, but the basis 'paper' needs 9"),
+        ({"basis": "cubic"}, "setting 'basis' is 'cubic', but must be one of paper"),
+    ],
+)
+def test_refuses_to_start_with_bad_settings(start, parameters, expected):
+    node = start("controller", **parameters)
+    assert node.process.wait(30.0) == 2
+    sentences = [line for line in node.output().splitlines() if "[FATAL]" in line]
+    assert len(sentences) == 1
+    assert expected in sentences[0]
+
+
+def test_refuses_a_parameter_file_that_is_none(start, tmp_path):
+    file = tmp_path / "broken.yaml"
+    file.write_text("path_follower: [")
+    node = start("controller", "--params-file", str(file))
+    assert node.process.wait(30.0) == 2
+    assert "broken.yaml" in node.output()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_says_stop_three_times_before_it_goes(drive, number):
+    seen = len(drive.commands)
+    assert drive.controller.stop(number) == 0
+    drive.peer.spin(0.5)
+    last = drive.commands[seen:][-3:]
+    assert len(last) == 3
+    assert all(map(is_zero, last))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay", [0.05, 0.3, 0.7])
+def test_a_signal_while_starting_leaves_no_traceback(start, peer, number, delay):
+    node = start("controller")
+    peer.spin(delay)
+    node.stop(number)
+    assert "Traceback" not in node.output()
+
+
+def test_starts_with_zero_velocity(peer, start):
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    start("controller")
+    peer.until(lambda: len(commands) >= 3, "zero velocities at the start")
+    assert all(map(is_zero, commands))
+    peer.spin(1.0)
+    count = len(commands)
+    peer.spin(0.5)
+    assert len(commands) == count  # then it leaves the robot to others
+
+
+def test_commands_come_at_the_set_rate(peer, start):
+    drive = Drive(peer, start, controller_frequency=50.0)
+    drive.commands.clear()
+    peer.until(lambda: len(drive.commands) > 100, "a hundred commands")
+    headers = [command.header for command in drive.commands]
+    stamps = [header.stamp.sec + 1e-9 * header.stamp.nanosec for header in headers]
+    mean = (stamps[-1] - stamps[0]) / (len(stamps) - 1)
+    # The timer follows the clock: a late tick is not repeated, so the mean can only be longer.
+    assert mean == pytest.approx(0.02, rel=0.1)
+
+
+def test_plain_twist_where_it_is_asked_for(peer, start):
+    commands = peer.listen(Twist, "cmd_vel")
+    start("controller", enable_stamped_cmd_vel=False)
+    peer.until_matched(peer.odometry, peer.path)
+    peer.send_path()
+    peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+    peer.until(lambda: any(command.linear.x > 0.1 for command in commands), "a Twist to move")
+
+
+@pytest.mark.parametrize(
+    ("broken", "cause"),
+    [
+        ({"x": math.nan}, "odometry is not finite"),
+        ({"y": math.inf}, "odometry is not finite"),
+        ({"qz": math.nan}, "orientation is not finite"),
+        ({"qw": 0.0, "qz": 0.0}, "quaternion of zero norm"),
+        (None, "no odometry for more than 0.5 s"),
+    ],
+)
+def test_bad_odometry_stops_the_robot_until_it_is_good_again(drive, broken, cause):
+    drive.odometry = broken
+    drive.until_stopped()
+    drive.until_diagnosed(cause)
+    drive.odometry = {}
+    drive.until_moving()
+
+
+def _broken_path(kind: str) -> PathMessage:
+    from adp_path_follower.core.path_library import named_path
+    from adp_path_follower.nodes.conversions import path_message
+
+    message = path_message(named_path("circle:1.0"), "odom", 0, 0.1)
+    if kind == "one point":
+        message.poses = message.poses[:1]
+    elif kind == "empty":
+        message.poses = []
+    elif kind == "NaN":
+        message.poses[3].pose.position.x = math.nan
+    elif kind == "frame":
+        message.header.frame_id = "map"
+    return message
+
+
+@pytest.mark.parametrize(
+    ("kind", "cause"),
+    [
+        ("one point", "path has 1 distinct points, but needs at least 2"),
+        ("empty", "path has 0 distinct points"),
+        ("NaN", "path point 3 is"),
+        ("frame", "path is in frame 'map', but odometry in 'odom'"),
+    ],
+)
+def test_a_bad_path_is_refused_and_the_present_one_goes_on(drive, kind, cause):
+    drive.peer.path.publish(_broken_path(kind))
+    drive.until_diagnosed(cause)
+    drive.until_moving()
+    assert f"path refused: {cause}" in drive.controller.output()
+    drive.peer.send_path("circle:0.5")
+    drive.peer.until(lambda: "new path: closed" in drive.controller.output(), "the next good path")
+    drive.until_moving()
+
+
+def test_path_in_another_frame_is_refused_when_odometry_comes_later(peer, start):
+    node = start("controller")
+    peer.until_matched(peer.odometry, peer.path)
+    peer.send_path(frame="map")
+    peer.until(lambda: "new path" in node.output(), "the path")
+    peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.0, 0.0)))
+    peer.until(lambda: "path is in frame 'map'" in node.output(), "the refusal")
+
+
+def test_parameters_change_while_driving_or_are_refused(drive):
+    peer = drive.peer
+    for name, value, reason in (
+        ("desired_speed", -1.0, "desired_speed"),
+        ("input_cost", [1.0, 0.0], "positive definite"),
+        ("initial_actor_weights", [1.0], "needs 9"),
+        ("controller_frequency", 20.0, "read-only"),
+        ("basis", "paper_misprinted", "read-only"),
+    ):
+        result = peer.set_parameter("path_follower", name, value)
+        assert not result.successful
+        assert reason in result.reason
+    drive.until_moving()
+    assert peer.set_parameter("path_follower", "max_linear_vel", 0.25).successful
+    peer.spin(0.2)
+    drive.commands.clear()
+    drive.until_moving()
+    assert max(command.twist.linear.x for command in drive.commands) <= 0.25
+    # An integer where a number is meant is no reason to refuse.
+    assert peer.set_parameter("path_follower", "max_linear_vel", 1).successful
+
+
+def test_reset_learning_answers(drive):
+    answer = drive.peer.call(Trigger, "path_follower/reset_learning")
+    assert answer.success
+    drive.until_moving()
+
+
+def _change(peer: Peer, transition: int) -> bool:
+    request = ChangeState.Request()
+    request.transition.id = transition
+    return peer.call(ChangeState, "path_follower/change_state", request).success
+
+
+def _state(peer: Peer) -> str:
+    return peer.call(GetState, "path_follower/get_state").current_state.label
+
+
+def test_lifecycle_without_autostart(peer, start):
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    node = start("controller", autostart=False)
+    assert _state(peer) == "unconfigured"
+    assert _change(peer, Transition.TRANSITION_CONFIGURE)
+    peer.until_matched(peer.odometry, peer.path)
+    peer.send_path()
+    peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+    peer.until(lambda: "new path" in node.output(), "the path")
+    peer.spin(0.5)
+    assert _state(peer) == "inactive"
+    assert not commands
+    assert _change(peer, Transition.TRANSITION_ACTIVATE)
+    peer.until(lambda: any(not is_zero(command) for command in commands), "commands to move")
+    assert _change(peer, Transition.TRANSITION_DEACTIVATE)
+    peer.spin(0.3)
+    assert all(map(is_zero, commands[-3:]))
+    count = len(commands)
+    peer.spin(0.5)
+    assert len(commands) == count  # inactive: not a word
+    assert _change(peer, Transition.TRANSITION_CLEANUP)
+    assert _change(peer, Transition.TRANSITION_CONFIGURE)
+    assert _change(peer, Transition.TRANSITION_ACTIVATE)
+    commands.clear()
+    # The path is latched, so it arrives again, and the robot moves again.
+    peer.until(lambda: any(not is_zero(command) for command in commands), "commands to move")
+    assert _change(peer, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert node.process.wait(30.0) == 0
+    peer.spin(0.2)
+    assert all(map(is_zero, commands[-3:]))
+
+
+def test_the_end_of_an_open_path_is_a_goal(peer, start, tmp_path):
+    file = tmp_path / "short.csv"
+    file.write_text("x,y\n0,0\n0.3,0\n0.6,0\n")
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    node = start("controller")
+    start("sim_unicycle")
+    start("path_publisher", path=str(file))
+    peer.until(lambda: "goal reached" in node.output(), "the goal")
+    peer.spin(0.3)
+    assert all(map(is_zero, commands[-3:]))
+
+
+def test_descriptors_come_from_the_settings():
+    for field in setting_fields(Settings):
+        described = descriptor(field)
+        assert field.spec.doc in described.description
+        assert described.read_only == bool(field.spec.read_only)
+        if field.kind is float and field.spec.high < math.inf:
+            assert described.floating_point_range[0].to_value == field.spec.high
