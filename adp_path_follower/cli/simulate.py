@@ -104,11 +104,9 @@ def simulate(
     if not len(errors):
         errors = np.array([PAPER_START])
     check_writable(json_file, npz_file)
-    with click.progressbar(
-        length=1000,
-        label=f"simulating {len(errors)} runs of {duration:g} s",
-        file=sys.stderr,
-    ) as bar:
+    # Only for people: a log would get the label and no bar.
+    label = f"simulating {len(errors)} runs of {duration:g} s" if sys.stderr.isatty() else None
+    with click.progressbar(length=1000, label=label, file=sys.stderr) as bar:
 
         def progress(fraction: float) -> None:
             bar.update(int(1000 * fraction) - bar.pos)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from types import MappingProxyType
 
@@ -91,3 +92,60 @@ class PrintedFormulas:
                 [0.0, 0.0, 2.0 * theta, 0.0],
             ]
         )
+
+    def policy(self, zeta, kappa, actor, input_cost, limits=(-math.inf, math.inf, math.inf)):
+        """Return u of the actor, clipped so that the command keeps [v_min, v_max, w_max]."""
+        descent = self.input_matrix(zeta).T @ self.gradient(zeta).T @ actor
+        wanted = -0.5 * np.linalg.solve(input_cost, descent)
+        steady = np.array([self.v_des, kappa * self.v_des])
+        lowest, highest, turn = limits
+        command = wanted + steady
+        command = [
+            min(max(command[0], lowest), highest),
+            min(max(command[1], -turn), turn),
+        ]
+        return np.array(command) - steady
+
+    def bellman_error(self, zeta, kappa, applied, critic, state_cost, input_cost):
+        """Return delta, omega and p at a state with an input that is applied."""
+        omega = self.gradient(zeta) @ (self.drift(zeta, kappa) + self.input_matrix(zeta) @ applied)
+        error = np.array(zeta[:3])
+        cost = error @ state_cost @ error + applied @ input_cost @ applied
+        return cost + critic @ omega, omega, math.sqrt(1.0 + omega @ omega)
+
+    def sampled_errors(self, values, path, critic, actor):
+        """Return delta, omega and p of every sample of these settings, one after the other."""
+        state_cost, input_cost = self.costs(values)
+        limits = tuple(
+            values[name] for name in ("min_linear_vel", "max_linear_vel", "max_angular_vel")
+        )
+        axes = [
+            np.linspace(-width, width, count) if count > 1 else [0.0]
+            for width, count in zip(
+                values["sample_half_widths"], values["samples_per_axis"], strict=True
+            )
+        ]
+        found = []
+        for zeta in itertools.product(*axes):
+            kappa = float(path.curvature(math.atanh(zeta[3]) / self.k2))
+            applied = self.policy(zeta, kappa, actor, input_cost, limits)
+            found.append(self.bellman_error(zeta, kappa, applied, critic, state_cost, input_cost))
+        return found
+
+    def costs(self, values):
+        """Return Q and R of settings that give a diagonal or rows."""
+        matrices = []
+        for name, size in (("state_cost", 3), ("input_cost", 2)):
+            entries = np.array(values[name], dtype=float)
+            whole = len(entries) == size * size
+            matrices.append(entries.reshape(size, size) if whole else np.diag(entries))
+        return matrices
+
+    def weight_rates(self, critic, actor, measured, sampled):
+        """Return Wc' and Wa' inside the projection's ball, with the paper's gains."""
+        gain_measured, gain_sampled, gain_actor = 0.5, 10.0, 5.0
+        delta, omega, p = measured
+        critic_rate = -gain_measured * omega * delta / p
+        for delta, omega, p in sampled:
+            critic_rate = critic_rate - gain_sampled / len(sampled) * omega * delta / p
+        return critic_rate, -gain_actor * (actor - critic)

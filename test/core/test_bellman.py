@@ -1,6 +1,5 @@
 """Bellman errors against plain loops over the printed formulas."""
 
-import itertools
 import math
 
 import numpy as np
@@ -33,36 +32,6 @@ def costs(draw, size, margin):
     return tuple(matrix.ravel().tolist())
 
 
-def naive_errors(printed, values, path, critic, actor):
-    """Return delta, omega and p of every sample, one after the other."""
-    state_cost = np.array(values["state_cost"])
-    state_cost = np.diag(state_cost) if len(state_cost) == 3 else state_cost.reshape(3, 3)
-    input_cost = np.array(values["input_cost"])
-    input_cost = np.diag(input_cost) if len(input_cost) == 2 else input_cost.reshape(2, 2)
-    axes = [
-        np.linspace(-width, width, count) if count > 1 else [0.0]
-        for width, count in zip(
-            values["sample_half_widths"], values["samples_per_axis"], strict=True
-        )
-    ]
-    found = []
-    for zeta in itertools.product(*axes):
-        kappa = float(path.curvature(math.atanh(zeta[3]) / printed.k2))
-        steady = np.array([printed.v_des, kappa * printed.v_des])
-        sigma = printed.gradient(zeta)
-        gain = printed.input_matrix(zeta)
-        wanted = -0.5 * np.linalg.solve(input_cost, gain.T @ sigma.T @ actor)
-        v = min(max(wanted[0] + steady[0], values["min_linear_vel"]), values["max_linear_vel"])
-        bound = values["max_angular_vel"]
-        w = min(max(wanted[1] + steady[1], -bound), bound)
-        applied = np.array([v, w]) - steady
-        omega = sigma @ (printed.drift(zeta, kappa) + gain @ applied)
-        error = np.array(zeta[:3])
-        cost = error @ state_cost @ error + applied @ input_cost @ applied
-        found.append((cost + critic @ omega, omega, math.sqrt(1.0 + omega @ omega)))
-    return found
-
-
 def assert_same(sweep, naive):
     np.testing.assert_allclose(sweep.error, [delta for delta, _, _ in naive], atol=1e-9)
     np.testing.assert_allclose(sweep.regressor, [omega for _, omega, _ in naive], atol=1e-9)
@@ -88,7 +57,7 @@ def test_sampled_errors_without_limits(printed, paper, name, critic, actor, stat
     values = {**paper, "state_cost": state_cost, "input_cost": input_cost}
     model = SampledModel(build(Settings, values), PATHS[name])
     assert len(model) == 81
-    naive = naive_errors(printed, values, PATHS[name], critic, actor)
+    naive = printed.sampled_errors(values, PATHS[name], critic, actor)
     assert_same(model.sweep(critic, actor), naive)
 
 
@@ -126,7 +95,7 @@ def test_sampled_errors_of_limited_commands(
     }
     model = SampledModel(build(Settings, values), PATHS[name])
     assert len(model) == math.prod(counts)
-    naive = naive_errors(printed, values, PATHS[name], critic, actor)
+    naive = printed.sampled_errors(values, PATHS[name], critic, actor)
     assert_same(model.sweep(critic, actor), naive)
 
 

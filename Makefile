@@ -1,0 +1,51 @@
+# Two commands for a new user: `make demo` and `make test`. Both set themselves up in .venv.
+
+VENV ?= .venv
+# The ROS 2 Jazzy wheels exist for Python 3.11 and 3.12; the first that runs is taken.
+PYTHON ?= $(shell for p in python3.12 python3.11 python3; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null \
+	&& echo $$p && break; done)
+BIN := $(VENV)/bin
+# The matrices are small: threads of BLAS would only wait for each other.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+
+.PHONY: help demo test lint format docs bench clean
+
+help:  ## Show this help
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+demo: $(VENV)/ready  ## Drive the paper's figure eight with real ROS 2 nodes
+	$(BIN)/adp demo $(if $(OUT),--out $(OUT))
+
+test: $(VENV)/ready  ## Run all tests, those of real nodes too
+	$(BIN)/pytest
+
+lint: $(VENV)/ready-lint  ## Check style and types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(VENV)/ready-lint  ## Format the code
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+docs: $(VENV)/ready  ## Generate docs/parameters.md
+	$(BIN)/adp parameters --format markdown > docs/parameters.md
+
+bench: $(VENV)/ready  ## Measure the control tick
+	$(BIN)/python bench/tick.py
+
+clean:  ## Remove the virtual environment and what tools left behind
+	rm -rf $(VENV) build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache
+
+$(VENV)/ready: setup.py adp_path_follower/__init__.py
+	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or 3.12 found: install one, or say make PYTHON=..."; exit 1; }
+	@echo "Setting up $(VENV): ROS 2 Jazzy and the Python packages, about a minute"
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[jazzy,test]'
+	@touch $@
+
+$(VENV)/ready-lint: $(VENV)/ready
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[lint]'
+	@touch $@

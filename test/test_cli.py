@@ -1,0 +1,165 @@
+"""The `adp` command as users call it: results, and bad input in one sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+OPTIMUM = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
+PAPER = str(Path(__file__).parents[1] / "config" / "paper.yaml")
+
+
+def adp(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "adp_path_follower.cli.main", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=120,
+        env={**os.environ, "COLUMNS": "100"},
+    )
+
+
+def test_help_teaches():
+    overview = adp("--help")
+    assert overview.returncode == 0
+    for command in ("demo", "simulate", "parameters"):
+        assert command in overview.stdout
+        text = adp(command, "--help")
+        assert text.returncode == 0
+        assert "--params" in text.stdout
+        assert "--set" in text.stdout
+    assert adp("--version").stdout.startswith("adp, version ")
+
+
+def test_simulate_writes_the_documented_json_and_npz(tmp_path):
+    done = adp(
+        *("simulate", "--params", PAPER, "--duration", "5", "--path", "circle:-0.5"),
+        *("--start", "-0.5", "0.25", "-0.5", "--start", "0.1", "0.2", "0.3"),
+        *("--json", "runs.json", "--npz", "runs.npz"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    runs = json.loads((tmp_path / "runs.json").read_text())["runs"]
+    assert [run["start"] for run in runs] == [[-0.5, 0.25, -0.5], [0.1, 0.2, 0.3]]
+    for run in runs:
+        assert len(run["final_error"]) == 3
+        assert len(run["max_inputs"]) == 2
+        assert len(run["critic_weights"]) == 9
+        assert run["cost"] > 0.0
+        assert run["excitation"] > 0.0
+        assert run["settled"] in (True, False)
+    arrays = np.load(tmp_path / "runs.npz", allow_pickle=False)
+    assert arrays["error"].shape == (2, 501, 3)
+    # The controls that the trajectory says were applied cost what the run says it cost.
+    e, u = arrays["error"], arrays["modified_input"]
+    rate = (e**2).sum(axis=2) + (u**2).sum(axis=2)
+    total = 0.01 * (rate[:, :-1].sum(axis=1))
+    assert total == pytest.approx([run["cost"] for run in runs], rel=0.03)
+
+
+def test_starts_from_a_file_are_kept_in_order(tmp_path):
+    starts = np.array(OPTIMUM["forty_starts"]["e0"])
+    lines = ["s,y,theta", *(",".join(map(str, row)) for row in starts)]
+    (tmp_path / "starts.csv").write_text("\n".join(lines) + "\n")
+    done = adp(
+        *("simulate", "--starts", "starts.csv", "--duration", "30", "--json", "runs.json"),
+        *("--path", "line", "--rate", "50", "--learning", "frozen"),
+        *("--set", "max_linear_vel=.inf", "--set", "min_linear_vel=-.inf"),
+        *("--set", "max_angular_vel=.inf"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    runs = json.loads((tmp_path / "runs.json").read_text())["runs"]
+    assert np.allclose([run["start"] for run in runs], starts)
+    ratio = np.array([run["cost"] for run in runs]) / np.array(
+        OPTIMUM["forty_starts"]["line"]["costs"]
+    )
+    # The default weights are the Riccati solution: never below the optimum, near it on most.
+    assert ratio.min() > 1.0
+    assert np.median(ratio) < 1.05
+
+
+def test_settings_by_file_and_by_set_agree(tmp_path):
+    (tmp_path / "mine.yaml").write_text(
+        "path_follower:\n  ros__parameters:\n    use_sim_time: true\n    desired_speed: 0.3\n"
+    )
+    by_file = adp("simulate", "--params", "mine.yaml", "--duration", "2", cwd=tmp_path)
+    by_set = adp("simulate", "--set", "desired_speed=0.3", "--duration", "2", cwd=tmp_path)
+    plain = adp("simulate", "--duration", "2", cwd=tmp_path)
+    assert by_file.stdout == by_set.stdout != plain.stdout
+
+
+BAD_INPUT = [
+    (["simulate", "--params", "missing.yaml"], "file missing.yaml cannot be read: No such file"),
+    (["simulate", "--params", "empty"], "file empty is empty"),
+    (["simulate", "--params", "binary"], "file binary is not text"),
+    (["simulate", "--params", "list.yaml"], "list.yaml is no ROS parameter file"),
+    (["simulate", "--params", "other.yaml"], "other.yaml has no parameters for 'path_follower'"),
+    (["simulate", "--params", "broken.yaml"], "broken.yaml, line 3: not YAML"),
+    (["simulate", "--params", "unknown.yaml"], "unknown setting 'speed'"),
+    (["simulate", "--set", "max_linear_vel"], "'max_linear_vel' is not NAME=VALUE"),
+    (["simulate", "--set", "desired_speed=fast"], "'desired_speed' is 'fast', but must be a numb"),
+    (["simulate", "--set", "input_cost=[1.0, -1.0]"], "must be positive definite"),
+    (["simulate", "--set", "basis=[oops"], "which is not YAML"),
+    (["simulate", "--path", "spiral"], "unknown path 'spiral'"),
+    (["simulate", "--path", "circle:0"], "circle has curvature '0'"),
+    (["simulate", "--path", "circle:abc"], "circle has curvature 'abc'"),
+    (["simulate", "--path", "missing.csv"], "file missing.csv cannot be read"),
+    (["simulate", "--path", "header.csv"], "header.csv has no column 'y'"),
+    (["simulate", "--path", "words.csv"], "file words.csv, line 3: 'one,two' is not 2 numbers"),
+    (["simulate", "--path", "point.csv"], "path has 1 distinct points"),
+    (["simulate", "--starts", "header.csv"], "has no column 's'"),
+    (["simulate", "--start", "nan", "0", "0"], "starts must be finite"),
+    (["simulate", "--duration", "-1"], "duration is -1.0 s"),
+    (["simulate", "--json", "nowhere/runs.json"], "there is no directory nowhere"),
+    (["demo", "--params", "missing.yaml"], "file missing.yaml cannot be read"),
+    (["demo", "--out", "full"], "output full holds files already"),
+    (["demo", "--out", "empty"], "output empty is a file"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Return a folder with files that are all wrong."""
+    found = tmp_path_factory.mktemp("bad")
+    (found / "empty").write_text("")
+    (found / "binary").write_bytes(bytes(range(256)))
+    (found / "list.yaml").write_text("- 1\n- 2\n")
+    (found / "other.yaml").write_text("amcl:\n  ros__parameters:\n    x: 1\n")
+    (found / "broken.yaml").write_text("path_follower:\n  ros__parameters: [\n")
+    (found / "unknown.yaml").write_text("path_follower:\n  ros__parameters:\n    speed: 1.0\n")
+    (found / "header.csv").write_text("x,z\n1,2\n")
+    (found / "words.csv").write_text("x,y\n1,2\none,two\n")
+    (found / "point.csv").write_text("x,y\n1,2\n1,2\n")
+    (found / "full").mkdir()
+    (found / "full" / "file").write_text("mine")
+    return found
+
+
+@pytest.mark.parametrize(("arguments", "expected"), BAD_INPUT)
+def test_bad_input_is_one_sentence_and_exit_code_2(folder, arguments, expected):
+    done = adp(*arguments, cwd=folder)
+    assert done.returncode == 2
+    assert expected in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stdout == ""
+    assert (folder / "full" / "file").read_text() == "mine"
+
+
+def test_unfinished_costs_are_null_in_json(tmp_path):
+    from adp_path_follower.cli.options import write_json
+
+    write_json(tmp_path / "x.json", {"a": [math.nan, 1.0], "b": (math.inf, {"c": -math.inf})})
+    assert json.loads((tmp_path / "x.json").read_text()) == {
+        "a": [None, 1.0],
+        "b": [None, {"c": None}],
+    }

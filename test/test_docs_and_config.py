@@ -1,0 +1,118 @@
+"""Files and docs that are generated, or that state what the code does, agree with it."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from adp_path_follower import __version__
+from adp_path_follower.cli.parameters import parameters
+from adp_path_follower.core.parameter_file import load_settings, parameter_file_text
+from adp_path_follower.core.schema import build, flatten, setting_fields
+from adp_path_follower.core.settings import Settings
+from sim_unicycle.settings import SimulatorSettings
+
+ROOT = Path(__file__).parents[1]
+CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
+
+
+def _without_head(text: str) -> str:
+    """Return a parameter file without the comment above its first section."""
+    return text[text.index("/**/path_follower:") :]
+
+
+def test_the_parameter_table_is_the_generated_one():
+    generated = CliRunner().invoke(parameters, ["--format", "markdown"]).output
+    assert (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8") == generated
+
+
+def test_every_setting_is_in_the_table_and_explained():
+    table = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
+    for tree in (Settings, SimulatorSettings):
+        for field in setting_fields(tree):
+            assert f"| `{field.name}`<br>{field.spec.doc}" in table
+            assert field.spec.doc.endswith(".")
+
+
+def test_default_yaml_holds_the_defaults():
+    text = (ROOT / "config" / "default.yaml").read_text(encoding="utf-8")
+    assert _without_head(text) == parameter_file_text(build(Settings, {}), "path_follower")
+
+
+def test_default_yaml_ships_limits():
+    limits = build(Settings, {}).limits
+    assert (limits.min_linear_vel, limits.max_linear_vel) == (0.0, 1.0)
+    assert limits.max_angular_vel == 1.5
+
+
+def test_paper_yaml_holds_the_printed_constants():
+    file = ROOT / "config" / "paper.yaml"
+    settings = load_settings(Settings, "path_follower", file)
+    assert _without_head(file.read_text(encoding="utf-8")) == parameter_file_text(
+        settings, "path_follower"
+    )
+    printed = {
+        "desired_speed": 0.5,
+        "target_gain": 0.1,
+        "path_state_gain": 0.05,
+        "state_cost": (1.0, 1.0, 1.0),
+        "input_cost": (1.0, 1.0),
+        "critic_gain_measured": 0.5,
+        "critic_gain_sampled": 10.0,
+        "actor_gain": 5.0,
+        "samples_per_axis": (3, 3, 3, 3),
+        "initial_critic_weights": (0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.5, 0.0, 1.0),
+        "initial_actor_weights": (0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.5, 0.0, 1.0),
+        "basis": "paper",
+        "min_linear_vel": -math.inf,
+        "max_linear_vel": math.inf,
+        "max_angular_vel": math.inf,
+    }
+    values = flatten(settings)
+    assert {name: values[name] for name in printed} == printed
+
+
+@pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.name)
+def test_parameter_files_have_the_types_that_ros_wants(file):
+    """ROS's parser keeps 1 an integer and refuses lists that mix integers and floats."""
+    load_settings(Settings, "path_follower", file)
+    (section,) = yaml.safe_load(file.read_text(encoding="utf-8")).values()
+    kinds = {field.name: field for field in setting_fields(Settings)}
+    for name, value in section["ros__parameters"].items():
+        field = kinds[name]
+        if field.item_kind is not None:
+            assert {type(item) for item in value} == {field.item_kind}
+        else:
+            assert type(value) is field.kind
+
+
+def test_versions_agree():
+    package = (ROOT / "package.xml").read_text(encoding="utf-8")
+    assert f"<version>{__version__}</version>" in package
+    assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_links_in_the_docs_lead_somewhere():
+    for document in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        text = document.read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)#]+)\)", text):
+            if "://" not in target:
+                assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_notation_names_things_that_exist():
+    """Every code name in docs/notation.md is a setting, or stands in the core's source."""
+    source = "".join(
+        file.read_text(encoding="utf-8")
+        for file in (*(ROOT / "adp_path_follower").rglob("*.py"), *ROOT.glob("sim_unicycle/*.py"))
+    )
+    rows = re.findall(r"^\|([^|]+)\|([^|]+)\|", (ROOT / "docs" / "notation.md").read_text(), re.M)
+    names = [name for row in rows for name in re.findall(r"`([^`]+)`", row[1])]
+    assert len(names) > 30
+    for name in names:
+        assert re.search(rf"\b{re.escape(name.split('.')[-1].rstrip('()'))}\b", source), name
