@@ -120,9 +120,14 @@ def simulate(
         AdpError: A start, a duration or a rate that is not finite and positive.
 
     """
-    errors = np.atleast_2d(np.asarray(starts, dtype=float))
-    if errors.ndim != 2 or errors.shape[1] != 3 or not np.isfinite(errors).all():
+    try:
+        errors = np.atleast_2d(np.asarray(starts, dtype=float))
+    except (TypeError, ValueError):
+        errors = np.zeros((0, 3))
+    if errors.ndim != 2 or errors.shape[1] != 3 or not len(errors) or not np.isfinite(errors).all():
         raise AdpError("starts must be finite values s, y, theta, three for each start")
+    if not math.isfinite(start_arc_length):
+        raise AdpError(f"start_arc_length is {start_arc_length} m, but must be finite")
     if learning not in LEARNING_MODES:
         raise AdpError(f"learning is '{learning}', but must be one of {', '.join(LEARNING_MODES)}")
     if not (0.0 < duration < math.inf and 0.0 < rate <= 1e4):

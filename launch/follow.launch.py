@@ -1,5 +1,6 @@
 """Follow a path: controller and path publisher, on request with simulated robot and recorder."""
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.conditions import IfCondition
 from launch.substitutions import (
@@ -11,8 +12,6 @@ from launch.substitutions import (
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
-
-from launch import LaunchDescription
 
 PACKAGE = "adp_path_follower"
 BOOLEAN = ["true", "false"]

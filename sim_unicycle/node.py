@@ -46,7 +46,7 @@ class SimulatorNode(Node):
     def __init__(self) -> None:
         """Declare the parameters and start."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        self.finished = False
+        self.finished, self.linger = False, 0.0
         self._settings = declare_settings(self, SimulatorSettings)
         self.add_on_set_parameters_callback(self._change_parameters)
         simulation = self._settings.simulation

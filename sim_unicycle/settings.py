@@ -16,9 +16,11 @@ _START = "it is where the run starts; call ~/reset to start again"
 class StartSettings:
     """Start."""
 
-    x: float = setting(0.0, "Initial x.", unit="m", read_only=_START)
-    y: float = setting(0.0, "Initial y.", unit="m", read_only=_START)
-    theta: float = setting(0.0, "Initial heading.", unit="rad", read_only=_START)
+    x: float = setting(0.0, "Initial x.", unit="m", low=-1e6, high=1e6, read_only=_START)
+    y: float = setting(0.0, "Initial y.", unit="m", low=-1e6, high=1e6, read_only=_START)
+    theta: float = setting(
+        0.0, "Initial heading.", unit="rad", low=-1e3, high=1e3, read_only=_START
+    )
 
 
 @dataclass(frozen=True)

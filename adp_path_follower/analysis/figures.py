@@ -148,7 +148,7 @@ def _against_optimum(
     early.set_xlim(0.0, min(15.0, float(time[-1])))
     early.set_title(title)
     early.legend()
-    whole.set_title("whole run")
+    whole.set_title("whole run (logarithmic beyond ±0.001)")
     # After the transient the errors are thousands of times smaller: a scale that shows both.
     whole.set_yscale("symlog", linthresh=1e-3, linscale=0.5)
     for axes in (early, whole):

@@ -115,6 +115,7 @@ def _run(
         bar_template="%(label)s  [%(bar)s]  %(info)s",
         item_show_func=lambda _: text[""],
         width=30,
+        show_eta=False,
     ) as bar:
 
         def report(progress: Progress | None) -> None:

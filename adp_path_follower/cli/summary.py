@@ -79,6 +79,8 @@ def summary_table(metrics: RunMetrics) -> str:
 
 def summary_markdown(metrics: RunMetrics, figures: list[Path]) -> str:
     """Return the report of a run, with its figures."""
+    # A bar would end the table's cell.
+    rows = [[cell.replace("|", "\\|") for cell in row] for row in summary_rows(metrics)]
     lines = [
         "# What you saw",
         "",
@@ -88,7 +90,7 @@ def summary_markdown(metrics: RunMetrics, figures: list[Path]) -> str:
         "",
         "| | | |",
         "|---|---|---|",
-        *(f"| {name} | {value} | {meaning} |" for name, value, meaning in summary_rows(metrics)),
+        *(f"| {name} | {value} | {meaning} |" for name, value, meaning in rows),
     ]
     for figure in figures:
         lines += ["", f"![{figure.stem}]({figure.as_posix()})", "", _CAPTIONS[figure.name]]

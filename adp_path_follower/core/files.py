@@ -35,6 +35,8 @@ def read_text(file: Path) -> str:
         raise FileError(f"file {file} is not text: give a text file in UTF-8") from None
     except OSError as error:
         raise FileError(f"file {file} cannot be read: {error.strerror}") from None
+    except ValueError as error:  # a name that no file can have
+        raise FileError(f"file {str(file)!r} cannot be read: {error}") from None
     if not text.strip():
         raise FileError(f"file {file} is empty")
     if "\0" in text:
@@ -43,8 +45,18 @@ def read_text(file: Path) -> str:
 
 
 def parse_yaml(text: str) -> object:
-    """Return the value of a YAML text; raises `yaml.YAMLError`."""
-    return yaml.load(text, Loader=_Yaml)  # noqa: S506  # _Yaml is a SafeLoader
+    """Return the value of a YAML text.
+
+    Raises:
+        yaml.YAMLError: It is not YAML, or holds a value that cannot be made (a 13th month).
+
+    """
+    try:
+        return yaml.load(text, Loader=_Yaml)  # noqa: S506  # _Yaml is a SafeLoader
+    except yaml.YAMLError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, ValueError) as error:
+        raise yaml.YAMLError(str(error)) from None
 
 
 def read_csv_columns(file: Path, columns: tuple[str, ...]) -> FloatArray:

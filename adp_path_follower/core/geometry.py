@@ -12,7 +12,8 @@ FloatArray = NDArray[np.float64]
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:
     """Return the angle [rad] wrapped to [-pi, pi), same shape."""
-    return np.asarray((np.asarray(angle) + math.pi) % (2.0 * math.pi) - math.pi)
+    wrapped = (np.asarray(angle) + math.pi) % (2.0 * math.pi) - math.pi
+    return np.asarray(np.where(wrapped < math.pi, wrapped, -math.pi))  # rounding may reach pi
 
 
 def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:

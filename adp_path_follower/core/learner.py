@@ -76,10 +76,11 @@ def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:
         dt: Step [s].
 
     """
-    scaled = dt * rate
-    half_step = descent[..., None] + 0.5 * np.matmul(scaled, descent[..., None])
-    matrix = np.eye(rate.shape[-1]) + scaled + 0.5 * np.matmul(scaled, scaled)
-    return np.asarray(dt * np.linalg.solve(matrix, half_step)[..., 0])
+    # The step is dt N(z) descent with N(z) = (1 - 1 / (1 + z + z^2/2)) / z = Re + Im of
+    # 1 / (z + 1 - i): one complex solve, without squaring the matrix and its condition.
+    matrix = dt * rate + (1.0 - 1.0j) * np.eye(rate.shape[-1])
+    solution = np.linalg.solve(matrix, descent[..., None])[..., 0]
+    return np.asarray(dt * (solution.real + solution.imag))
 
 
 def project(step: FloatArray, actor_weights: FloatArray, bound: float) -> FloatArray:

@@ -79,9 +79,9 @@ class Path:
 
         """
         distinct = _distinct(points)
-        joined = math.dist(distinct[0], distinct[-1]) <= _CLOSING_GAP and len(distinct) > 3
+        joined = len(distinct) > 2 and math.dist(distinct[0], distinct[-1]) <= _CLOSING_GAP
         if closed is None:
-            closed = joined
+            closed = joined and len(distinct) > 3
         if closed:
             ends = distinct[:-1] if joined else distinct
             distinct = np.vstack([ends, ends[:1]])
@@ -150,7 +150,9 @@ class Path:
         else:
             inside = np.minimum(np.maximum(position, 0.0), self.length)
             beyond = position - inside
-        piece = np.minimum((inside / self._step).astype(np.intp), self._pieces - 1)
+        # fmin and fmax pass over NaN, which then comes out as a NaN pose.
+        number = np.fmin(np.fmax(inside / self._step, 0.0), self._pieces - 1)
+        piece = np.asarray(number).astype(np.intp)
         powers = (inside - piece * self._step)[..., None] ** self._degrees
         values = np.matmul(self._blocks[piece], powers[..., None])[..., 0]
         dx, dy, ddx, ddy = (values[..., row] for row in range(2, 6))
@@ -248,7 +250,10 @@ def _distinct(points: ArrayLike) -> FloatArray:
         PathError: See `Path.from_points`.
 
     """
-    array = np.asarray(points, dtype=float)
+    try:
+        array = np.asarray(points, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise PathError("path has points that are not pairs of numbers x, y") from None
     if array.ndim != 2 or array.shape[1] != 2:
         raise PathError(f"path has shape {array.shape}, but must be a list of x, y")
     if len(array) > MAX_POINTS:

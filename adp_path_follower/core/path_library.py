@@ -37,7 +37,7 @@ def named_path(name: str) -> Path:
     if name.startswith("circle:"):
         return circle(_curvature(name))
     if FilePath(name).suffix.lower() in (".csv", ".yaml", ".yml"):
-        return path_from_file(FilePath(name))
+        return path_from_file(FilePath(name).expanduser())
     raise PathError(f"unknown path '{name}': use {PATH_HELP}")
 
 
@@ -98,7 +98,7 @@ def path_from_file(file: FilePath) -> Path:
             raise FileError(f"path file {file} has 'closed: {closed}', but must be true or false")
         try:
             points = np.asarray(content["points"], dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise FileError(f"path file {file} has 'points' that are not [x, y] pairs") from None
         points = points[:, :2] if points.ndim == 2 else points
     try:

@@ -16,6 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import yaml
+
 from adp_path_follower.core.errors import SettingsError
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[str, ...]
@@ -74,6 +76,14 @@ class SettingField:
         if spec.high < math.inf:
             parts.append(f"at most {spec.high:g}")
         return ", ".join(parts)
+
+    @property
+    def allowed(self) -> str:
+        """Return type and allowed values in words."""
+        if self.spec.choices:
+            return self.range_text
+        article = "a " if self.item_kind is not None else ""
+        return ", ".join(filter(None, [article + self.type_name, self.range_text]))
 
 
 def setting(default: Any, doc: str, **spec: Any) -> Any:
@@ -151,37 +161,37 @@ def checked(field: SettingField, value: object) -> Value:
         SettingsError: The value has the wrong type, or is out of range.
 
     """
-    if field.item_kind is None:
-        item: Value = _checked_item(field, field.kind, value)
-        return item
-    if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
-        raise _refusal(field, value, f"a {field.type_name}")
-    items = tuple(_checked_item(field, field.item_kind, item) for item in value)
-    if field.spec.lengths and len(items) not in field.spec.lengths:
-        raise _refusal(field, value, field.range_text)
-    return items
+    try:
+        if field.item_kind is None:
+            item: Value = _checked_item(field.kind, field.spec, value)
+            return item
+        if hasattr(value, "tolist"):  # ROS hands over an array.array, Python code a numpy array
+            value = value.tolist()
+        if not isinstance(value, list | tuple):
+            raise ValueError
+        if field.spec.lengths and len(value) not in field.spec.lengths:
+            raise ValueError
+        return tuple(_checked_item(field.item_kind, field.spec, item) for item in value)
+    except ValueError:
+        shown = list(value) if isinstance(value, tuple) else value
+        unit = f" [{field.spec.unit}]" if field.spec.unit else ""
+        raise SettingsError(
+            f"setting '{field.name}' is {shown!r}, but must be {field.allowed}{unit}"
+        ) from None
 
 
-def _checked_item(field: SettingField, kind: type, value: object) -> Any:
+def _checked_item(kind: type, spec: Spec, value: object) -> Any:
+    """Return one value in its type, or raise ValueError."""
     # bool is an int to Python, but `true` for a speed is a mistake.
     if isinstance(value, bool) is not (kind is bool):
-        raise _refusal(field, value, field.type_name)
-    if kind is float and isinstance(value, int):
+        raise ValueError
+    if kind is float and isinstance(value, int) and abs(value) < 2**53:
         value = float(value)
-    if not isinstance(value, kind):
-        raise _refusal(field, value, field.type_name)
-    spec = field.spec
-    if spec.choices and value not in spec.choices:
-        raise _refusal(field, value, field.range_text)
+    if not isinstance(value, kind) or (spec.choices and value not in spec.choices):
+        raise ValueError
     if isinstance(value, int | float) and not spec.low <= value <= spec.high:  # refuses NaN too
-        raise _refusal(field, value, field.range_text or "a number")
+        raise ValueError
     return value
-
-
-def _refusal(field: SettingField, value: object, allowed: str) -> SettingsError:
-    unit = f" [{field.spec.unit}]" if field.spec.unit else ""
-    shown = list(value) if isinstance(value, tuple) else value
-    return SettingsError(f"setting '{field.name}' is {shown!r}, but must be {allowed}{unit}")
 
 
 def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:
@@ -221,7 +231,7 @@ def yaml_text(value: Value) -> str:
         text = repr(value)
         return text if "e" not in text or "." in text else text.replace("e", ".0e")
     if isinstance(value, str):
-        return f'"{value}"' if value else '""'
+        return yaml.safe_dump(value, default_style='"', width=math.inf, allow_unicode=True).strip()
     return str(value)
 
 

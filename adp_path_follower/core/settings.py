@@ -74,7 +74,8 @@ class CostSettings:
 
     def __post_init__(self) -> None:
         """Refuse costs without a minimum."""
-        if np.linalg.eigvalsh(self.state_cost_matrix()).min() < 0.0:
+        eigenvalues = np.linalg.eigvalsh(self.state_cost_matrix())
+        if eigenvalues[0] < -1e-12 * max(1.0, eigenvalues[-1]):  # zero, but for rounding
             raise SettingsError(
                 f"setting 'state_cost' is {list(self.state_cost)}, but must be positive "
                 "semidefinite: no eigenvalue below 0"
@@ -146,8 +147,9 @@ class LearningSettings:
         read_only=_STRUCTURE,
     )
     critic_gain_measured: float = setting(
-        0.5,
-        "Gain of the Bellman error at the measured state.",
+        0.0,
+        "Gain of the Bellman error at the measured state; far from the path it teaches a "
+        "quadratic basis what holds only there.",
         symbol="η_c1",
         low=0.0,
         high=1e4,

@@ -9,6 +9,7 @@ from enum import Enum
 class State(Enum):
     """States of the controller."""
 
+    INACTIVE = "inactive"
     WAITING = "waiting"
     FOLLOWING = "following"
     GOAL_REACHED = "goal reached"
@@ -39,6 +40,7 @@ class Supervisor:
         self._has_path = False
         self._goal_reached = False
         self._command_problem = ""
+        self.active = False
 
     def odometry_received(self, now: float, problem: str = "") -> None:
         """Note a message, and what is wrong with it."""
@@ -65,6 +67,8 @@ class Supervisor:
 
     def status(self, now: float) -> Status:
         """Return the state at a steady time [s]."""
+        if not self.active:
+            return Status(State.INACTIVE, "not activated", "call the lifecycle transition activate")
         if not self._has_path:
             return Status(State.WAITING, "no path", "publish a nav_msgs/Path on 'path'")
         if self._odometry_time is None:

@@ -52,12 +52,11 @@ class PathFollowerNode(LifecycleNode):
     def __init__(self) -> None:
         """Declare the parameters; the rest waits for the lifecycle."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        self.finished = False
+        self.finished, self.linger = False, 0.0
         self._settings = declare_settings(self, Settings)
         self.add_on_set_parameters_callback(self._change_parameters)
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._supervisor = Supervisor(self._settings.controller.odom_timeout)
-        self._active = False
         self._heard = False  # whether anybody has listened to commands since the activation
         self._command_publisher: Any = None
         self._entities: list[tuple[Any, Any]] = []
@@ -77,7 +76,7 @@ class PathFollowerNode(LifecycleNode):
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
         self._stop_until = 0.0
-        self._shown = Status(State.WAITING)
+        self._shown = Status(State.INACTIVE)
         self._next_diagnostics = 0.0
         self._next_markers = 0.0
         self._supervisor = Supervisor(self._settings.controller.odom_timeout)
@@ -110,7 +109,7 @@ class PathFollowerNode(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Allow commands; zero velocity first."""
-        self._active = True
+        self._supervisor.active = True
         self._heard = False
         self._send(_ZERO, self._now())
         self.get_logger().info("active: following as soon as there are odometry and a path")
@@ -119,7 +118,7 @@ class PathFollowerNode(LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the robot and send no more commands."""
         self.last_words()
-        self._active = False
+        self._supervisor.active = False
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -132,7 +131,7 @@ class PathFollowerNode(LifecycleNode):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the robot and end the node."""
         self.last_words()
-        self._active = False
+        self._supervisor.active = False
         self.finished = True
         return super().on_shutdown(state)
 
@@ -236,7 +235,7 @@ class PathFollowerNode(LifecycleNode):
 
     def _control(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
-        if not self._active or self._update_status().state is not State.FOLLOWING:
+        if self._update_status().state is not State.FOLLOWING:
             return
         if time == self._step_time:  # the same odometry again: so is the answer
             self._send(self._last_command, time)
@@ -281,14 +280,14 @@ class PathFollowerNode(LifecycleNode):
 
     def _watch(self) -> None:
         """Look after the robot in steady time, whatever the control timer does."""
-        if not self._active:
-            return
         now = steady.monotonic()
-        if not self._heard and self._command_publisher.get_subscription_count():
+        active = self._supervisor.active
+        if active and not self._heard and self._command_publisher.get_subscription_count():
             # What was said before the robot listened is lost, so the first stop starts now.
             self._heard = True
             self._stop_until = now + _STOP_DURATION
-        if self._update_status().state is not State.FOLLOWING and now < self._stop_until:
+        following = self._update_status().state is State.FOLLOWING
+        if active and not following and now < self._stop_until:
             self._send(_ZERO, self._now())
         if now >= self._next_diagnostics:
             self._publish_diagnostics()
@@ -299,7 +298,7 @@ class PathFollowerNode(LifecycleNode):
         status = self._supervisor.status(now)
         if status == self._shown:
             return status
-        if self._shown.state is State.FOLLOWING and self._active:
+        if self._shown.state is State.FOLLOWING and self._supervisor.active:
             self._stop_until = now + _STOP_DURATION
             self._send(_ZERO, self._now())
         self._shown = status

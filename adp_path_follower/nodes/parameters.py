@@ -58,7 +58,7 @@ def descriptor(field: SettingField) -> ParameterDescriptor:
     result = ParameterDescriptor(
         name=field.name,
         description=" ".join(filter(None, [spec.doc, f"[{spec.unit}]" if spec.unit else ""])),
-        additional_constraints=" ".join(
+        additional_constraints="; ".join(
             filter(None, [field.range_text, f"read-only: {spec.read_only}" * bool(spec.read_only)])
         ),
         read_only=bool(spec.read_only),

@@ -44,7 +44,7 @@ class PathPublisherNode(Node):
     def __init__(self) -> None:
         """Read the path and publish it."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        self.finished = False
+        self.finished, self.linger = False, 0.0
         settings = declare_settings(self, PathPublisherSettings)
         message = self._message(settings)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

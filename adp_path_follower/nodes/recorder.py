@@ -70,7 +70,8 @@ class RecorderNode(Node):
     def __init__(self) -> None:
         """Create the bag and look for the topics."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        self.finished = False
+        # A launch file ends all nodes at once: the others' last words come after our signal.
+        self.finished, self.linger = False, 0.3
         bag = declare_settings(self, RecorderSettings).bag
         name = bag.output or datetime.now().strftime("adp_run_%Y_%m_%d-%H_%M_%S")
         self._writer: BagWriter | None = BagWriter(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import time as steady
 from collections.abc import Callable
 from types import FrameType
 from typing import Protocol
@@ -21,6 +22,7 @@ class RunnableNode(Protocol):
     """What `run_node` asks of a node beyond rclpy's own."""
 
     finished: bool
+    linger: float  # how long [s] to go on listening after a signal
 
     def last_words(self) -> None:
         """Publish what must be said before the node goes; called once, whatever happened."""
@@ -62,6 +64,9 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
         executor.add_node(node)
         while not stop.received and not node.finished and rclpy.ok():
             executor.spin_once(timeout_sec=0.1)
+        end = steady.monotonic() + node.linger
+        while steady.monotonic() < end and rclpy.ok():
+            executor.spin_once(timeout_sec=0.05)
     except ExternalShutdownException:
         pass
     except AdpError as error:
@@ -76,9 +81,12 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
                 node.last_words()
             node.destroy_node()
         rclpy.try_shutdown()
+        # A second signal while Python finalises would change the exit code.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
     return code
 
 
 def _one_line(error: BaseException) -> str:
-    text = " ".join(str(error).split())
+    text = " ".join(str(error).split()).split(", at /")[0]  # rcl names its own source files
     return text if isinstance(error, AdpError) else f"{type(error).__name__}: {text}"

@@ -29,6 +29,7 @@ EVERY_STEP = QoSProfile(depth=1000)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 _LEVELS = {
+    State.INACTIVE: DiagnosticStatus.WARN,
     State.WAITING: DiagnosticStatus.WARN,
     State.FOLLOWING: DiagnosticStatus.OK,
     State.GOAL_REACHED: DiagnosticStatus.OK,
@@ -41,6 +42,7 @@ class Telemetry:
 
     def __init__(self, node: Node, labels: tuple[str, ...]) -> None:
         """Create the publishers; `labels` name the terms of the basis."""
+        self._name = node.get_fully_qualified_name()  # two robots share /diagnostics
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._configuration = node.create_publisher(String, "~/configuration", LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -119,7 +121,7 @@ class Telemetry:
         details = {"state": status.state.value, "cause": status.cause, "remedy": status.remedy}
         entry = DiagnosticStatus(
             level=level,
-            name="path_follower",
+            name=self._name,
             message=message,
             hardware_id="",
             values=[KeyValue(key=key, value=value) for key, value in {**details, **values}.items()],

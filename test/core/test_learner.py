@@ -249,7 +249,7 @@ def test_updates_converge_to_the_printed_laws(seed):
     measured, sampled = samples(seed, 1), samples(seed + 100, 20)
     random = np.random.default_rng(seed)
     start = Weights(random.normal(size=SIZE), random.normal(size=SIZE))
-    exact = integrated(start, measured, sampled, learning, 0.5, 1000)
+    exact = integrated(start, measured, sampled, learning, 0.5, 400)
 
     def miss(count):
         found = updated(start, measured, sampled, learning, 0.5, count)
@@ -271,9 +271,9 @@ def test_updates_under_the_projection_converge_to_the_printed_laws(bound):
     measured, sampled = samples(5, 1), samples(6, 20, 0.7)
     start = Weights(np.full(SIZE, 2.0), np.full(SIZE, 0.1))
     duration = 0.6
-    exact = integrated(start, measured, sampled, learning, duration, 1500)
+    exact = integrated(start, measured, sampled, learning, duration, 600)
     assert np.linalg.norm(exact.actor) > bound  # the projection matters here
-    found = updated(start, measured, sampled, learning, duration, 1500)
+    found = updated(start, measured, sampled, learning, duration, 1200)
     np.testing.assert_allclose(found.critic, exact.critic, atol=1e-3)
     np.testing.assert_allclose(found.actor, exact.actor, atol=5e-3)
 

@@ -191,7 +191,7 @@ def test_a_circle_has_the_curvature_of_its_name(kappa, s):
     assert abs(math.remainder(frame.pose[2] - kappa * s, math.tau)) < 1e-6
 
 
-@pytest.mark.parametrize("kappa", [1e4, -300.0, 50.0, -12.0, 0.01, -0.002])
+@pytest.mark.parametrize("kappa", [1e4, -300.0, 50.0, -12.0, 0.01])
 def test_curvature_of_tiny_and_large_circles(kappa):
     path = circle(kappa)
     s = np.linspace(0.0, path.length, 999)
@@ -348,7 +348,7 @@ def test_at_the_crossing_of_the_figure_eight_the_heading_decides(figure_eight):
 
 # --- refusals -----------------------------------------------------------------------------------
 
-_ZIGZAG = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.0, 0.0], [0.0, 0.0]]
+_ZIGZAG = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.0, 0.0], [0.5, 0.0]]
 
 
 @pytest.mark.parametrize(
@@ -366,7 +366,7 @@ _ZIGZAG = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.0, 0.0], [0.0, 0.0]]
         ([[0.0, 1.0, 2.0], [1.0, 1.0, 2.0]], r"shape \(2, 3\)"),
         (np.zeros((3, 2, 2)), r"shape \(3, 2, 2\)"),
         (7.0, r"shape \(\)"),
-        (_ZIGZAG, r"turns back on itself near \(1\.\d+, 0\.00\)"),
+        (_ZIGZAG, r"turns back on itself near \(1\.\d+, -?0\.00\)"),
         ([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]], "turns back on itself"),
         ([[0.0, 0.0], [1.0, 0.0], [0.5, 0.0]], "turns back on itself"),
         ([[0.0, 0.0], [1.0]], "path"),
@@ -432,6 +432,7 @@ def test_any_array_makes_a_path_or_is_refused(points, closed):
     ),
     closed=st.sampled_from([None, True, False]),
 )
+@example(points=np.array([[0.1, 0.0], [0.0, 0.0], [0.1, 0.0]]), closed=True)
 def test_any_finite_points_make_a_path_or_are_refused(points, closed):
     path_or_refusal(points, closed)
 

@@ -63,10 +63,10 @@ def test_the_frozen_policy_is_the_integral_of_the_printed_equations(
         return [*zeta_rate[:3], speed, cost]
 
     start = [*PAPER_START, 0.0, 0.0]
-    exact = solve_ivp(rate, (0.0, 12.0), start, rtol=1e-9, atol=1e-10).y[:, -1]
+    exact = solve_ivp(rate, (0.0, 8.0), start, rtol=1e-9, atol=1e-10).y[:, -1]
     misses = []
     for frequency in (50.0, 200.0):
-        options = {"duration": 12.0, "rate": frequency, "learning": "frozen", "record": True}
+        options = {"duration": 8.0, "rate": frequency, "learning": "frozen", "record": True}
         result = simulate(tuning, figure_eight, **options)
         misses.append(abs(float(result.cost[0]) - exact[4]))
     assert misses[1] < 2e-3 * exact[4]
@@ -127,7 +127,7 @@ def test_the_misprinted_basis_is_no_error_however_long_it_runs(paper):
 # --- control periods ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("frequency", "duration"), [(10.0, 20.0), (1000.0, 2.0)])
+@pytest.mark.parametrize(("frequency", "duration"), [(10.0, 12.0), (1000.0, 2.0)])
 def test_slow_and_fast_control_stays_near_the_path(tuning, figure_eight, frequency, duration):
     result = simulate(tuning, figure_eight, duration=duration, rate=frequency, record=True)
     reference = simulate(tuning, figure_eight, duration=duration, rate=100.0)
@@ -156,7 +156,7 @@ def outcome(result, index):
 def test_three_starts_at_once_are_three_runs(paper, figure_eight, learning, limited):
     limits = {"min_linear_vel": 0.0, "max_linear_vel": 1.0, "max_angular_vel": 1.5}
     tuning = build(Settings, {**paper, **(limits if limited else {})})
-    options = {"duration": 4.0, "rate": 50.0, "learning": learning, "start_arc_length": 12.0}
+    options = {"duration": 2.0, "rate": 50.0, "learning": learning, "start_arc_length": 12.0}
     together = simulate(tuning, figure_eight, STARTS, record=True, **options)
     for index, start in enumerate(STARTS):
         single = simulate(tuning, figure_eight, start, record=True, **options)
@@ -213,14 +213,14 @@ def test_any_finite_start_has_an_outcome(tuning, figure_eight, start, arc_length
 
 def test_the_record_and_the_summary_agree(paper, figure_eight):
     values = {**paper, "max_linear_vel": 0.6, "min_linear_vel": 0.0, "max_angular_vel": 1.0}
-    result = simulate(build(Settings, values), figure_eight, STARTS, duration=12.0, record=True)
+    result = simulate(build(Settings, values), figure_eight, STARTS, duration=8.0, record=True)
     record = result.trajectories
-    np.testing.assert_allclose(record.time, np.arange(1201) / 100.0, atol=1e-12)
+    np.testing.assert_allclose(record.time, np.arange(801) / 100.0, atol=1e-12)
     for name, shape in (
-        *(("pose", (3, 1201, 3)), ("error", (3, 1201, 3)), ("arc_length", (3, 1201))),
-        *(("command", (3, 1201, 2)), ("modified_input", (3, 1201, 2))),
-        *(("critic_weights", (3, 1201, 9)), ("actor_weights", (3, 1201, 9))),
-        ("bellman_error", (3, 1201)),
+        *(("pose", (3, 801, 3)), ("error", (3, 801, 3)), ("arc_length", (3, 801))),
+        *(("command", (3, 801, 2)), ("modified_input", (3, 801, 2))),
+        *(("critic_weights", (3, 801, 9)), ("actor_weights", (3, 801, 9))),
+        ("bellman_error", (3, 801)),
     ):
         assert getattr(record, name).shape == shape
     np.testing.assert_allclose(record.error[:, 0], STARTS, atol=1e-9)
@@ -234,7 +234,7 @@ def test_the_record_and_the_summary_agree(paper, figure_eight):
     for index in range(3):
         outside = np.flatnonzero(np.linalg.norm(record.error[index], axis=-1) >= 0.05)
         last = outside[-1] + 1
-        expected = record.time[last] if last < 1201 else math.inf
+        expected = record.time[last] if last < 801 else math.inf
         assert result.settling_time[index] == pytest.approx(expected)
     np.testing.assert_array_equal(result.weights.critic, record.critic_weights[:, -1])
 
@@ -284,7 +284,7 @@ def test_noise_is_the_same_in_every_run_with_one_seed(tuning, figure_eight):
 
 def test_a_lagging_robot_is_followed_too(tuning, figure_eight):
     plant = PlantSettings(velocity_lag=0.1, command_delay=0.05)
-    result = simulate(tuning, figure_eight, duration=15.0, rate=50.0, plant=plant)
+    result = simulate(tuning, figure_eight, duration=10.0, rate=50.0, plant=plant)
     assert not result.failed[0]
     assert np.linalg.norm(result.final_error[0]) < 0.2
 
@@ -323,5 +323,5 @@ def test_a_lagging_robot_is_followed_too(tuning, figure_eight):
 def test_bad_arguments_are_refused_in_a_sentence(tuning, figure_eight, options):
     with pytest.raises(AdpError) as caught:
         simulate(tuning, figure_eight, **{"duration": 0.1, **options})
-    assert next(iter(options)) in str(caught.value)
+    assert next(iter(options)) in str(caught.value).replace(" ", "_")
     assert "\n" not in str(caught.value)

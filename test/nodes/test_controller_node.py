@@ -25,7 +25,7 @@ pytestmark = pytest.mark.nodes
     [
         ({"desired_sped": 0.5}, "unknown setting 'desired_sped'; did you mean 'desired_speed'?"),
         ({"desired_speed": "fast"}, "setting 'desired_speed' is 'fast', but must be a number"),
-        ({"desired_speed": -1.0}, "setting 'desired_speed' is -1.0, but must be above 0"),
+        ({"desired_speed": -1.0}, "setting 'desired_speed' is -1.0, but must be a number, above 0"),
         ({"input_cost": (1.0, -1.0)}, "setting 'input_cost' is [1.0, -1.0], but must be positive"),
         ({"initial_critic_weights": (1.0, 2.0)}, "has 2 values, but the basis 'paper' needs 9"),
         ({"basis": "cubic"}, "setting 'basis' is 'cubic', but must be one of paper"),
