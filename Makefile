@@ -6,9 +6,6 @@ PYTHON ?= $(shell for p in python3.12 python3.11 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null \
 	&& echo $$p && break; done)
 BIN := $(VENV)/bin
-# The matrices are small: threads of BLAS would only wait for each other.
-export OMP_NUM_THREADS := 1
-export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: help demo test lint format docs bench clean
 
@@ -34,7 +31,7 @@ docs: $(VENV)/ready  ## Generate docs/parameters.md
 	$(BIN)/adp parameters --format markdown > docs/parameters.md
 
 bench: $(VENV)/ready  ## Measure the control tick
-	$(BIN)/python bench/tick.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/tick.py
 
 clean:  ## Remove the virtual environment and what tools left behind
 	rm -rf $(VENV) build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache
@@ -43,7 +40,7 @@ $(VENV)/ready: setup.py adp_path_follower/__init__.py
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or 3.12 found: install one, or say make PYTHON=..."; exit 1; }
 	@echo "Setting up $(VENV): ROS 2 Jazzy and the Python packages, about a minute"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[jazzy,test]'
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[jazzy,optimum,test]'
 	@touch $@
 
 $(VENV)/ready-lint: $(VENV)/ready

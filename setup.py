@@ -48,6 +48,7 @@ setup(
     ],
     extras_require={
         "jazzy": JAZZY_WHEELS,
+        "optimum": ["casadi>=3.6"],
         "test": ["pytest>=7.4", "hypothesis>=6.90"],
         "lint": ["ruff==0.17.6", "mypy==2.4.1", "types-PyYAML"],
     },

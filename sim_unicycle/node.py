@@ -12,7 +12,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
@@ -31,8 +31,10 @@ _DISCOVERY_PERIOD = 0.1  # [s], steady
 _RESEND_PERIOD = 0.1  # [s], steady: how long lock-step waits before it repeats its odometry
 _REMINDER = 5.0  # [s], steady: how long it waits before it tells the user
 _ZERO = np.zeros(2)
-# Deep, so that a recorder that the machine keeps waiting for a second loses nothing.
-_EVERY_STEP = QoSProfile(depth=1000)
+_EVERY_STEP = QoSProfile(depth=10)
+# In lock-step at the machine's pace, a recorder that joins a second late, or is kept waiting that
+# long, still gets all.
+_LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class SimulatorNode(Node):
@@ -60,8 +62,9 @@ class SimulatorNode(Node):
         self._answered = False  # whether lock-step has had its first answer
         self._sent_at = self._reminded_at = steady.monotonic()
 
-        self._odometry = self.create_publisher(Odometry, "odom", _EVERY_STEP)
-        self._ground_truth = self.create_publisher(Odometry, "ground_truth", _EVERY_STEP)
+        qos = _LOSSLESS if simulation.lockstep else _EVERY_STEP
+        self._odometry = self.create_publisher(Odometry, "odom", qos)
+        self._ground_truth = self.create_publisher(Odometry, "ground_truth", qos)
         self._clock_publisher = None
         if self._own_clock:
             self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 10)

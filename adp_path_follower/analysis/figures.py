@@ -8,28 +8,15 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from adp_path_follower.analysis.metrics import Optimum
+from adp_path_follower.analysis.metrics import PaperOptimum
+from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.bags.reader import Run, Series
 from adp_path_follower.bags.replay import Replay
 from adp_path_follower.core.geometry import FloatArray
 
-mpl.use("Agg")  # files only: no window, no display needed
-
-# Okabe and Ito's colours: told apart by the colour-blind too.
-_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-_STYLE = {
-    "axes.grid": True,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "figure.dpi": 130,
-    "font.size": 10,
-    "grid.alpha": 0.3,
-    "legend.frameon": False,
-}
-
 
 def draw_figures(
-    run: Run, replay: Replay, directory: Path, optimum: Optimum | None = None
+    run: Run, replay: Replay, directory: Path, optimum: PaperOptimum | None = None
 ) -> list[Path]:
     """Draw the paper's figures of a run; return the PNG files.
 
@@ -49,7 +36,7 @@ def draw_figures(
         "figure_5_weights.png": lambda: _weights(run, replay.stamp[0]),
     }
     files = []
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         for name, draw in drawings.items():
             files.append(directory / name)
             draw().savefig(files[-1], bbox_inches="tight")
@@ -64,16 +51,16 @@ def _path(run: Run, replay: Replay) -> Figure:
     track = replay.odometry
     for axes in (wide, near):
         axes.plot(path[:, 0], path[:, 1], color="0.6", linewidth=3, label="path")
-        axes.plot(track[:, 0], track[:, 1], color=_COLORS[0], linewidth=1.5, label="robot")
+        axes.plot(track[:, 0], track[:, 1], color=COLORS[0], linewidth=1.5, label="robot")
         axes.set_aspect("equal")
         axes.set_xlabel("x [m]")
         axes.set_ylabel("y [m]")
-    wide.plot(*track[0, :2], "o", color=_COLORS[1], label="start")
-    wide.plot(*track[-1, :2], "s", color=_COLORS[2], label="end")
+    wide.plot(*track[0, :2], "o", color=COLORS[1], label="start")
+    wide.plot(*track[-1, :2], "s", color=COLORS[2], label="end")
     wide.legend(loc="upper left", fontsize=8)
     wide.set_title("Path and robot")
     # The first seconds decide the cost, and are too small to see in the whole.
-    near.plot(target[:, 0], target[:, 1], ":", color=_COLORS[1], label="virtual target")
+    near.plot(target[:, 0], target[:, 1], ":", color=COLORS[1], label="virtual target")
     steps = len(track)
     arrows = slice(0, min(steps, 800), 100)
     near.quiver(
@@ -81,7 +68,7 @@ def _path(run: Run, replay: Replay) -> Figure:
         track[arrows, 1],
         np.cos(track[arrows, 2]),
         np.sin(track[arrows, 2]),
-        color=_COLORS[0],
+        color=COLORS[0],
         angles="xy",
         scale_units="xy",
         scale=4.0,
@@ -98,7 +85,7 @@ def _path(run: Run, replay: Replay) -> Figure:
     return figure
 
 
-def _states(replay: Replay, time: FloatArray, optimum: Optimum | None) -> Figure:
+def _states(replay: Replay, time: FloatArray, optimum: PaperOptimum | None) -> Figure:
     error = np.array([output.error for output in replay.outputs])
     labels = ("s [m]", "y [m]", "θ [rad]")
     return _against_optimum(
@@ -110,7 +97,7 @@ def _states(replay: Replay, time: FloatArray, optimum: Optimum | None) -> Figure
     )
 
 
-def _controls(replay: Replay, time: FloatArray, optimum: Optimum | None) -> Figure:
+def _controls(replay: Replay, time: FloatArray, optimum: PaperOptimum | None) -> Figure:
     inputs = np.array([output.modified_input for output in replay.outputs])
     labels = ("v_e = v − v_ss [m/s]", "ω_e = ω − ω_ss [rad/s]")
     return _against_optimum(
@@ -134,14 +121,14 @@ def _against_optimum(
     early, whole = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
     for column, label in enumerate(labels):
         for axes in (early, whole):
-            axes.plot(time, values[:, column], color=_COLORS[column], label=label)
+            axes.plot(time, values[:, column], color=COLORS[column], label=label)
         if optimum is not None:
             early.plot(
                 optimum[0],
                 optimum[1][:, column],
                 "o",
                 markerfacecolor="none",
-                color=_COLORS[column],
+                color=COLORS[column],
             )
     if optimum is not None:
         early.plot([], [], "o", markerfacecolor="none", color="0.3", label="offline optimum")
@@ -167,8 +154,8 @@ def _weights(run: Run, start: int) -> Figure:
             axes.plot(
                 time,
                 series.values[:, column],
-                color=_COLORS[column % len(_COLORS)],
-                linestyle="-" if column < len(_COLORS) else "--",
+                color=COLORS[column % len(COLORS)],
+                linestyle="-" if column < len(COLORS) else "--",
                 label=series.labels[column],
             )
         axes.set_title(name.replace("_", " ").capitalize())

@@ -23,7 +23,7 @@ _SETTLED = 0.02  # of the initial error
 
 
 @dataclass(frozen=True)
-class Optimum:
+class PaperOptimum:
     """The offline optimum from the paper's start.
 
     Attributes:
@@ -40,11 +40,11 @@ class Optimum:
     modified_input: FloatArray
 
 
-def paper_optimum() -> Optimum:
+def paper_optimum() -> PaperOptimum:
     """Return the optimum that comes with the package."""
     file = importlib.resources.files("adp_path_follower") / "data" / "paper_optimum.json"
     content = json.loads(file.read_text(encoding="utf-8"))
-    return Optimum(
+    return PaperOptimum(
         cost=float(content["cost"]),
         time=np.array(content["t"]),
         error=np.array(content["e"]),

@@ -9,9 +9,11 @@ import click
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.threads import use_one_blas_thread
 
 _COMMANDS = {
     "demo": "Drive the paper's figure eight with real ROS 2 nodes.",
+    "optimum": "Find what the best controller would cost, by offline optimal control.",
     "parameters": "Show the parameters, as a YAML file or as a table.",
     "simulate": "Simulate the closed loop without ROS, from one or many starts.",
 }
@@ -51,6 +53,7 @@ def adp() -> None:
 
 def main() -> None:
     """Run the command; a bad input is one sentence and exit code 2."""
+    use_one_blas_thread()
     try:
         code = adp.main(standalone_mode=False)
     except click.ClickException as error:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+import numpy as np
 
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.files import read_csv_columns
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path_library import PATH_HELP
+from adp_path_follower.simulation import PAPER_START
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -46,6 +52,61 @@ def path_option(command: Command) -> Command:
         metavar="NAME|FILE",
         help=f"Path to follow: {PATH_HELP}.",
     )(command)
+
+
+def start_options(command: Command) -> Command:
+    """Add --start, --starts and --start-arc-length."""
+    command = click.option(
+        "--start-arc-length",
+        type=float,
+        default=0.0,
+        show_default=True,
+        help="Where on the path the virtual target starts [m].",
+    )(command)
+    command = click.option(
+        "--starts",
+        "starts_file",
+        type=FILE,
+        metavar="FILE.csv",
+        help="Initial errors as a CSV file with the columns s,y,theta.",
+    )(command)
+    return click.option(
+        "--start",
+        "starts",
+        type=(float, float, float),
+        multiple=True,
+        metavar="S Y THETA",
+        help="Initial error to the virtual target [m, m, rad]; may be given several times. "
+        "The paper's (-0.5 0.25 -0.5236) if there is none.",
+    )(command)
+
+
+def collect_starts(
+    starts: tuple[tuple[float, float, float], ...], starts_file: Path | None
+) -> FloatArray:
+    """Return the initial errors of --start and then of --starts, shape (B, 3).
+
+    Raises:
+        FileError: The file cannot be read.
+
+    """
+    errors = np.array(starts, dtype=float).reshape(-1, 3)
+    if starts_file is not None:
+        errors = np.vstack([errors, read_csv_columns(starts_file, ("s", "y", "theta"))])
+    return errors if len(errors) else np.array([PAPER_START])
+
+
+@contextlib.contextmanager
+def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
+    """Show a progress bar to people, nothing to a log; yields what takes the fraction done."""
+    shown = label if sys.stderr.isatty() else None
+    with click.progressbar(length=1000, label=shown, file=sys.stderr) as bar:
+
+        def progress(fraction: float) -> None:
+            bar.update(int(1000 * fraction) - bar.pos)
+
+        yield progress
+        progress(1.0)
 
 
 def check_writable(*files: Path | None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
@@ -11,17 +10,18 @@ import numpy as np
 from adp_path_follower.cli.options import (
     FILE,
     check_writable,
+    collect_starts,
     path_option,
+    progress_bar,
     settings_options,
+    start_options,
     write_json,
 )
-from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.simulation import (
     LEARNING_MODES,
-    PAPER_START,
     SimulationResult,
 )
 from adp_path_follower.simulation import (
@@ -34,29 +34,7 @@ _ROWS_SHOWN = 20
 @click.command()
 @settings_options
 @path_option
-@click.option(
-    "--start",
-    "starts",
-    type=(float, float, float),
-    multiple=True,
-    metavar="S Y THETA",
-    help="Initial error to the virtual target [m, m, rad]; may be given several times. "
-    "The paper's (-0.5 0.25 -0.5236) if there is none.",
-)
-@click.option(
-    "--starts",
-    "starts_file",
-    type=FILE,
-    metavar="FILE.csv",
-    help="Initial errors as a CSV file with the columns s,y,theta.",
-)
-@click.option(
-    "--start-arc-length",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Where on the path the virtual target starts [m].",
-)
+@start_options
 @click.option("--duration", type=float, default=30.0, show_default=True, help="Time [s].")
 @click.option("--rate", type=float, default=100.0, show_default=True, help="Control rate [Hz].")
 @click.option(
@@ -98,19 +76,9 @@ def simulate(
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
     path = named_path(path_name)
-    errors = np.array(starts, dtype=float).reshape(-1, 3)
-    if starts_file is not None:
-        errors = np.vstack([errors, read_csv_columns(starts_file, ("s", "y", "theta"))])
-    if not len(errors):
-        errors = np.array([PAPER_START])
+    errors = collect_starts(starts, starts_file)
     check_writable(json_file, npz_file)
-    # Only for people: a log would get the label and no bar.
-    label = f"simulating {len(errors)} runs of {duration:g} s" if sys.stderr.isatty() else None
-    with click.progressbar(length=1000, label=label, file=sys.stderr) as bar:
-
-        def progress(fraction: float) -> None:
-            bar.update(int(1000 * fraction) - bar.pos)
-
+    with progress_bar(f"simulating {len(errors)} runs of {duration:g} s") as progress:
         result = run_simulation(
             settings,
             path,
@@ -122,7 +90,6 @@ def simulate(
             record=npz_file is not None,
             progress=progress,
         )
-        progress(1.0)
     if json_file is not None:
         write_json(json_file, {"runs": _runs(result)})
     if npz_file is not None and result.trajectories is not None:

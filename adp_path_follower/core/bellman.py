@@ -131,7 +131,8 @@ def excitation(information: FloatArray) -> FloatArray:
     The matrix is symmetric and positive semidefinite, so this is its smallest eigenvalue; it is
     above zero where the samples determine every weight (the paper's rank condition).
     """
-    return np.asarray(np.linalg.eigvalsh(information)[..., 0])
+    smallest = np.linalg.eigvalsh(information)[..., 0]
+    return np.asarray(np.maximum(smallest, 0.0))  # rounding may pass zero
 
 
 def sample_grid(half_widths: tuple[float, ...], samples_per_axis: tuple[int, ...]) -> FloatArray:

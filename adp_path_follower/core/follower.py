@@ -102,8 +102,10 @@ class PathFollower:
         Moves the virtual target over the past period, computes error and command there, then
         learns for one period. The first step, and the first one after `hold`, lets no time pass.
         """
-        if self._previous is None:
+        if self._previous is None or dt < 0.0:
             dt = 0.0
+        if self.arc_length.shape != pose.shape[:-1]:  # one start for a batch
+            self.arc_length = np.broadcast_to(self.arc_length, pose.shape[:-1])
         frame, error = self._move_target(pose, dt)
         output = self._evaluate(frame, error)
         if self._previous is not None:

@@ -15,8 +15,11 @@ from adp_path_follower.core.errors import PathError
 from adp_path_follower.core.geometry import FloatArray
 
 MAX_POINTS = 1_000_000
+_COINCIDENCE = 1e-6  # [m]: points nearer than this to the one before count once
 _CLOSING_GAP = 1e-3  # [m]: a path whose ends are nearer than this is closed
 _DEGREE = 5  # of the pieces: curvature is then twice differentiable
+_PIECE = 0.05  # [m]
+_LEAST_PIECES, _MOST_PIECES = 64, 100_000  # the most take 30 MB
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -93,7 +96,11 @@ class Path:
         spline = CubicSpline(parameter, distinct, bc_type=ends_condition)
         derivative = spline.derivative()
         return cls._by_arc_length(
-            spline, derivative, parameter, closed, piece=min(0.05, float(np.median(chords)))
+            spline,
+            derivative,
+            parameter,
+            closed,
+            piece=min(_PIECE, 0.25 * float(np.median(chords))),
         )
 
     @classmethod
@@ -113,7 +120,7 @@ class Path:
             closed: Whether the curve ends where it starts.
 
         """
-        return cls._by_arc_length(position, velocity, parameters, closed, piece=0.05)
+        return cls._by_arc_length(position, velocity, parameters, closed, piece=_PIECE)
 
     @classmethod
     def _by_arc_length(
@@ -126,7 +133,7 @@ class Path:
     ) -> Path:
         """Return the path after finding the parameter at uniform steps of arc length."""
         arc = _ArcLength(velocity, breaks)
-        pieces = max(8, math.ceil(arc.length / max(piece, arc.length / MAX_POINTS)))
+        pieces = min(max(_LEAST_PIECES, math.ceil(arc.length / piece)), _MOST_PIECES)
         knots = np.linspace(0.0, arc.length, pieces + 1)
         points = position(arc.parameter(knots))
         if closed:
@@ -207,8 +214,8 @@ class Path:
         if abs(speed[worst] - 1.0) > 0.1:
             x, y, _ = self.frame(middles[worst]).pose
             raise PathError(
-                f"path turns back on itself near ({x:.2f}, {y:.2f}): smooth it there, or cut it "
-                "into two paths"
+                f"path turns back on itself, or has too sharp a corner, near ({x:.2f}, {y:.2f}): "
+                "smooth it there, or cut it into two paths"
             )
 
 
@@ -264,9 +271,19 @@ def _distinct(points: ArrayLike) -> FloatArray:
         raise PathError(f"path point {first} is {array[first].tolist()}, but must be finite")
     if np.abs(array).max(initial=0.0) > 1e8:
         raise PathError("path has a coordinate above 1e8 m: check its units")
-    moved = np.ones(len(array), dtype=bool)
-    moved[1:] = np.linalg.norm(np.diff(array, axis=0), axis=1) > 1e-6
-    distinct = array[moved]
+    distinct = np.asarray(array[_moving(array)])
     if len(distinct) < 2:
         raise PathError(f"path has {len(distinct)} distinct points, but needs at least 2")
     return distinct
+
+
+def _moving(points: FloatArray) -> np.ndarray:
+    """Return which points are away from the last one that counts, shape (N,)."""
+    moving = np.ones(len(points), dtype=bool)
+    near = np.linalg.norm(np.diff(points, axis=0), axis=1) <= _COINCIDENCE
+    last = 0
+    for index in np.flatnonzero(near) + 1:
+        if moving[index - 1]:
+            last = int(index) - 1
+        moving[index] = math.dist(points[index], points[last]) > _COINCIDENCE
+    return moving

@@ -7,6 +7,7 @@ signed curvature in 1/m, or by a CSV or YAML file.
 from __future__ import annotations
 
 import math
+import os.path
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -37,7 +38,7 @@ def named_path(name: str) -> Path:
     if name.startswith("circle:"):
         return circle(_curvature(name))
     if FilePath(name).suffix.lower() in (".csv", ".yaml", ".yml"):
-        return path_from_file(FilePath(name).expanduser())
+        return path_from_file(FilePath(os.path.expanduser(name)))
     raise PathError(f"unknown path '{name}': use {PATH_HELP}")
 
 

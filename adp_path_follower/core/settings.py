@@ -80,7 +80,8 @@ class CostSettings:
                 f"setting 'state_cost' is {list(self.state_cost)}, but must be positive "
                 "semidefinite: no eigenvalue below 0"
             )
-        if np.linalg.eigvalsh(self.input_cost_matrix()).min() <= 0.0:
+        eigenvalues = np.linalg.eigvalsh(self.input_cost_matrix())
+        if eigenvalues[0] <= 1e-12 * max(1.0, eigenvalues[-1]):  # no inverse in numbers, either
             raise SettingsError(
                 f"setting 'input_cost' is {list(self.input_cost)}, but must be positive "
                 "definite: every eigenvalue above 0"

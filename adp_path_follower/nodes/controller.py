@@ -35,7 +35,7 @@ from adp_path_follower.nodes.conversions import (
 )
 from adp_path_follower.nodes.parameters import changed_settings, declare_settings
 from adp_path_follower.nodes.run import run_node
-from adp_path_follower.nodes.telemetry import EVERY_STEP, Telemetry
+from adp_path_follower.nodes.telemetry import EVERY_STEP, LOSSLESS, Telemetry
 
 NODE_NAME = "path_follower"
 
@@ -56,7 +56,6 @@ class PathFollowerNode(LifecycleNode):
         self._settings = declare_settings(self, Settings)
         self.add_on_set_parameters_callback(self._change_parameters)
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._supervisor = Supervisor(self._settings.controller.odom_timeout)
         self._heard = False  # whether anybody has listened to commands since the activation
         self._command_publisher: Any = None
         self._entities: list[tuple[Any, Any]] = []
@@ -87,8 +86,12 @@ class PathFollowerNode(LifecycleNode):
         """Create publishers, subscriptions, services and timers."""
         controller = self._settings.controller
         kind = TwistStamped if controller.enable_stamped_cmd_vel else Twist
-        self._command_publisher = self.create_publisher(kind, "cmd_vel", EVERY_STEP)
-        self._telemetry = Telemetry(self, self._settings.learning.value_basis.labels)
+        lossless = controller.control_trigger == "odometry"
+        self._command_publisher = self.create_publisher(
+            kind, "cmd_vel", LOSSLESS if lossless else EVERY_STEP
+        )
+        labels = self._settings.learning.value_basis.labels
+        self._telemetry = Telemetry(self, labels, lossless)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         odom = self.create_subscription(
             Odometry, "odom", self._receive_odometry, qos_profile_sensor_data
@@ -136,7 +139,7 @@ class PathFollowerNode(LifecycleNode):
         return super().on_shutdown(state)
 
     def last_words(self) -> None:
-        """Publish zero velocity three times and wait until it was delivered."""
+        """Publish zero velocity three times."""
         if self._command_publisher is None:
             return
         for _ in range(_LAST_WORDS):

@@ -12,6 +12,8 @@ import signal
 import sys
 from types import FrameType
 
+from adp_path_follower.threads import use_one_blas_thread
+
 
 def _leave(number: int, frame: FrameType | None) -> None:
     os._exit(128 + number)  # nothing has been published yet, so nothing is left to say
@@ -20,6 +22,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 def _main(module: str) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _leave)
+    use_one_blas_thread()
     try:
         node_module = importlib.import_module(module)
     except ModuleNotFoundError as error:

@@ -70,9 +70,6 @@ class NodeProcess:
             **os.environ,
             "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            # The matrices are small: threads of BLAS would only wait for each other.
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
         }
         command = [sys.executable, "-m", "adp_path_follower.nodes.entry", executable, "--ros-args"]
         for name, value in parameters.items():

@@ -24,8 +24,10 @@ from adp_path_follower.nodes.conversions import (
     pose_stamped,
 )
 
-# Deep, so that a recorder that the machine keeps waiting for a second loses nothing.
-EVERY_STEP = QoSProfile(depth=1000)
+EVERY_STEP = QoSProfile(depth=10)
+# For steps that follow odometry, perhaps in lock-step at the machine's pace: a recorder that joins
+# a second late, or is kept waiting that long, still gets all.
+LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 _LEVELS = {
@@ -40,8 +42,16 @@ _LEVELS = {
 class Telemetry:
     """Publishers of everything but the command."""
 
-    def __init__(self, node: Node, labels: tuple[str, ...]) -> None:
-        """Create the publishers; `labels` name the terms of the basis."""
+    def __init__(self, node: Node, labels: tuple[str, ...], lossless: bool) -> None:
+        """Create the publishers.
+
+        Args:
+            node: The controller.
+            labels: Names of the terms of the basis.
+            lossless: Publish every step whether or not somebody listens, for those who join late.
+
+        """
+        self._lossless = lossless
         self._name = node.get_fully_qualified_name()  # two robots share /diagnostics
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._configuration = node.create_publisher(String, "~/configuration", LATCHED)
@@ -73,7 +83,7 @@ class Telemetry:
             "~/cost": (Float64, lambda t, frame, out, cost: scalar(cost)),
         }
         self._steps: list[tuple[Publisher, Callable[..., Any]]] = [
-            (node.create_publisher(kind, topic, EVERY_STEP), make)
+            (node.create_publisher(kind, topic, LOSSLESS if lossless else EVERY_STEP), make)
             for topic, (kind, make) in makers.items()
         ]
 
@@ -86,7 +96,7 @@ class Telemetry:
     def step(self, time: int, frame: str, output: FollowerOutput, cost: float) -> None:
         """Publish what one control step at a time [ns] found; cost is J so far."""
         for publisher, make in self._steps:
-            if publisher.get_subscription_count():
+            if self._lossless or publisher.get_subscription_count():
                 publisher.publish(make(time, frame, output, cost))
 
     def markers(self, time: int, frame: str, path: Path, output: FollowerOutput | None) -> None:

@@ -270,10 +270,13 @@ def test_step_at_lets_no_time_pass_over_a_gap_or_backwards(paper, figure_eight, 
     for pose in poses[:3]:
         now += 20_000_000
         follower.step_at(pose, now)
-    place = float(follower.arc_length)
+    place, cost, learned = float(follower.arc_length), float(follower.cost), follower.weights
     assert place > 0.0
+    assert cost > 0.0
     now += jump
     assert follower.step_at(poses[3], now).arc_length == place
+    assert follower.cost == cost
+    assert follower.weights.critic.tolist() == learned.critic.tolist()
     now += 20_000_000
     assert follower.step_at(poses[4], now).arc_length > place
 

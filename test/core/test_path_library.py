@@ -64,6 +64,7 @@ def test_circles_without_a_sound_curvature_are_refused(curvature):
     text=st.text(max_size=12),
     end=st.sampled_from(["", ".csv", ".yaml", ".YML"]),
 )
+@example(start="", text="~", end=".csv")
 @example(start="", text="\0", end=".csv")
 @example(start="", text="a" * 5000, end=".yaml")
 @example(start="", text="\ud800", end=".csv")

@@ -85,6 +85,7 @@ REFUSALS = [
     ("state_cost", [1.0, 1.0, math.nan], "finite|number"),
     ("input_cost", [1.0, 0.0], "positive definite"),
     ("input_cost", [1.0, -1.0], "positive definite"),
+    ("input_cost", [1e-320, 1.0], "positive definite"),  # its inverse is infinite
     ("input_cost", [1.0, 2.0, 2.0, 1.0], "positive definite"),
     ("input_cost", [1.0, 1.0, 1.0, 1.0], "positive definite"),
     ("input_cost", [1.0, 0.1, 0.2, 1.0], "symmetric"),
@@ -382,7 +383,10 @@ def test_defaults_are_read_back_from_yaml_with_their_type(tree):
 @example(value=-0.0)
 @example(value=(1e22, 5e-324))
 def test_numbers_are_read_back_from_yaml_with_their_type(value):
-    assert_read_alike(yaml_text(value), value)
+    text = yaml_text(value)
+    assert_read_alike(text, value)
+    if isinstance(value, float):
+        assert "." in text  # ROS takes a number without a point for an integer
 
 
 @settings(max_examples=80, deadline=None)

@@ -186,8 +186,11 @@ def test_more_starts_than_a_block_keep_their_order(tuning, figure_eight):
 def test_a_run_that_is_lost_is_reported_and_the_others_go_on(tuning, lost, name):
     path = named_path(name)
     options = {"duration": 1.0, "rate": 50.0}
-    result = simulate(tuning, path, [STARTS[0], lost, STARTS[1]], **options)
+    result = simulate(tuning, path, [STARTS[0], lost, STARTS[1]], record=True, **options)
     assert result.failed.tolist() == [False, True, False]
+    poses = result.trajectories.pose[1]
+    assert np.isfinite(poses).all()
+    assert (poses == poses[0]).all()  # a robot that is lost stands still
     assert math.isnan(result.cost[1])
     assert np.isnan(result.final_error[1]).all()
     assert math.isinf(result.settling_time[1])

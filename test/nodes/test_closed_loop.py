@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -191,3 +195,23 @@ def test_other_nodes_refuse_bad_settings_in_one_sentence(start, executable, para
     assert node.process.wait(30.0) == 2
     assert expected in node.output()
     assert len(node.output().strip().splitlines()) == 1
+
+
+def test_the_command_replays_whatever_threads_the_user_allows(tmp_path):
+    """More BLAS threads would change the last bits: the executables decide for themselves."""
+    done = subprocess.run(
+        [sys.executable, "-m", "adp_path_follower.cli.main", "demo", "--duration", "3"],
+        env={**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    (summary,) = tmp_path.glob("adp_demo_*/summary.json")
+    content = json.loads(summary.read_text())
+    assert content["commands"] == content["identical_commands"] == 301
+    for name in ("2_path", "3_states", "4_controls", "5_weights"):
+        assert (summary.parent / "figures" / f"figure_{name}.png").stat().st_size > 10_000
+    report = (summary.parent / "report.md").read_text()
+    assert "| commands repeated exactly | 301 of 301 |" in report

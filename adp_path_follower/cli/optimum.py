@@ -1,0 +1,180 @@
+"""`adp optimum`: the offline optimum."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from adp_path_follower.cli.options import (
+    FILE,
+    check_writable,
+    collect_starts,
+    path_option,
+    progress_bar,
+    settings_options,
+    start_options,
+    write_json,
+)
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.parameter_file import load_settings
+from adp_path_follower.core.path_library import named_path
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.shared_files import config_file
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One start: what was found, or why nothing."""
+
+    start: FloatArray
+    optimum: Any | None  # collocation.Optimum, whose module needs CasADi
+    check_cost: float | None
+    problem: str
+
+
+@click.command()
+@settings_options
+@path_option
+@start_options
+@click.option("--horizon", type=float, default=30.0, show_default=True, help="Time [s].")
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Solve each start a second time, by the costate boundary value problem.",
+)
+@click.option("--json", "json_file", type=FILE, metavar="FILE", help="Write costs and motions.")
+@click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the motions.")
+@click.option("--figure", "figure_file", type=FILE, metavar="FILE.png", help="Draw the motions.")
+def optimum(
+    params: Path | None,
+    assignments: tuple[str, ...],
+    path_name: str,
+    starts: tuple[tuple[float, float, float], ...],
+    starts_file: Path | None,
+    start_arc_length: float,
+    horizon: float,
+    check: bool,
+    json_file: Path | None,
+    npz_file: Path | None,
+    figure_file: Path | None,
+) -> None:
+    r"""Find what the best controller would cost, by offline optimal control.
+
+    Legendre-Gauss-Radau collocation on a graded mesh, solved by IPOPT from several starting
+    guesses. Speed, gains, cost and limits are those of the parameters (the paper's, without
+    limits, if none are given). How much J* changes with twice as many mesh intervals, and with a
+    horizon half as long again, stands beside it.
+
+    \b
+    The paper's start:                   adp optimum --check
+    With limits, before a sharp bend:    adp optimum --params config/default.yaml \
+                                             --start 0.5 -0.5 1 --start-arc-length 15
+
+    Exit code 1 if any start has no converged optimum; it is named, the others are still written.
+    """
+    from adp_path_follower.optimum.collocation import OptimumSolver
+    from adp_path_follower.optimum.costate import costate_cost
+    from adp_path_follower.optimum.problem import OptimumError
+
+    settings = load_settings(
+        Settings, "path_follower", params or config_file("paper.yaml"), assignments
+    )
+    if check and len(settings.cost.input_cost) == 4 and not settings.limits.unlimited:
+        raise AdpError("--check needs a diagonal input_cost where there are limits: leave it out")
+    path = named_path(path_name)
+    errors = collect_starts(starts, starts_file)
+    check_writable(json_file, npz_file, figure_file)
+    solver = OptimumSolver(settings, path, start_arc_length, horizon)
+    rows: list[_Row] = []
+    with progress_bar(f"solving {len(errors)} starts") as progress:
+        for index, start in enumerate(errors):
+            found, check_cost, problem = None, None, ""
+            try:
+                found = solver.solve(start)
+                check_cost = costate_cost(solver.problem, found.motion) if check else None
+            except OptimumError as error:
+                problem = str(error)
+            rows.append(_Row(start, found, check_cost, problem))
+            progress((index + 1) / len(errors))
+    click.echo(_table(rows, check))
+    if json_file is not None:
+        write_json(json_file, {"optima": [_entry(row) for row in rows]})
+    if npz_file is not None:
+        _write_npz(npz_file, rows)
+    if figure_file is not None:
+        from adp_path_follower.analysis.optimum_figure import draw_optima
+
+        draw_optima([row.optimum.motion for row in rows if row.optimum], figure_file)
+    problems = [row.problem for row in rows if row.problem]
+    for text in problems:
+        click.echo(f"adp: {text}", err=True)
+    sys.exit(1 if problems else 0)
+
+
+def _table(rows: list[_Row], check: bool) -> str:
+    """Return the optima as a table."""
+    lines = [
+        "   s [m]   y [m]  θ [rad]            J*   by mesh  by horizon  intervals"
+        + ("   by costates" if check else "")
+    ]
+    notes = []
+    for row in rows:
+        head = "{:8.3f}{:8.3f}{:9.3f}".format(*row.start)
+        if row.optimum is None:
+            lines.append(f"{head}             –   no optimum found")
+            continue
+        found = row.optimum
+        line = (
+            f"{head}{found.cost:14.7f}{found.mesh_change:10.0e}{found.horizon_change:12.0e}"
+            f"{found.intervals:11d}"
+        )
+        if row.check_cost is not None:
+            line += f"{row.check_cost / found.cost - 1.0:+14.1e}"
+        lines.append(line)
+        if found.has_local_optima:
+            costs = ", ".join(f"{cost:.6f}" for cost in found.guesses)
+            notes.append(
+                f"from {row.start.tolist()} the starting guesses led to different local optima: "
+                f"{costs}; the best is shown"
+            )
+    return "\n".join([*lines, *notes])
+
+
+def _entry(row: _Row) -> dict[str, object]:
+    """Return one start as JSON has it."""
+    if row.optimum is None:
+        return {"start": row.start.tolist(), "converged": False, "problem": row.problem}
+    found = row.optimum
+    return {
+        "start": row.start.tolist(),
+        "converged": not row.problem,
+        "problem": row.problem,
+        "cost": found.cost,
+        "mesh_change": found.mesh_change,
+        "horizon_change": found.horizon_change,
+        "costate_cost": row.check_cost,
+        "guess_costs": list(found.guesses),
+        "t": found.motion.time.tolist(),
+        "e": found.motion.state[:, :3].tolist(),
+        "s_p": found.motion.state[:, 3].tolist(),
+        "u": found.motion.modified_input.tolist(),
+    }
+
+
+def _write_npz(file: Path, rows: list[_Row]) -> None:
+    """Write the motions: arrays with the number of the start behind their name."""
+    arrays: dict[str, Any] = {"starts": np.array([row.start for row in rows])}
+    for index, row in enumerate(rows):
+        if row.optimum is not None:
+            motion = row.optimum.motion
+            arrays[f"cost_{index}"] = np.array(motion.cost)
+            arrays[f"time_{index}"] = motion.time
+            arrays[f"state_{index}"] = motion.state
+            arrays[f"modified_input_{index}"] = motion.modified_input
+    np.savez_compressed(file, **arrays)

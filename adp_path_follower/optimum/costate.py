@@ -1,0 +1,102 @@
+"""The optimum by its necessary conditions: an independent check of the collocation.
+
+Pontryagin's principle gives a boundary value problem in the state and its costates, with the
+state given at the start and the costates zero at the end. It is written in the actual inputs
+[v, w], whose limits do not depend on the state, and takes the path's curvature from the path
+itself; nothing is shared with the transcription but the guess.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.integrate import solve_bvp
+
+from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.optimum.problem import Motion, OptimumError, Problem
+
+_CURVATURE_STEP = 1e-4  # [m] of the central difference that gives the change of curvature
+
+
+def costate_cost(problem: Problem, motion: Motion) -> float:
+    """Return J of the extremal near a motion.
+
+    Args:
+        problem: The problem.
+        motion: A motion to start from, such as the one found by collocation.
+
+    Raises:
+        OptimumError: The boundary value problem could not be solved.
+
+    """
+    start = motion.state[0]
+    unknown = np.zeros((9, len(motion.time)))
+    unknown[:4] = motion.state.T
+    unknown[4:7] = 2.0 * problem.riccati() @ motion.state[:, :3].T
+    result = solve_bvp(
+        lambda _, values: _rates(problem, values),
+        lambda first, last: np.concatenate([first[:4] - start, last[4:8], first[8:]]),
+        motion.time,
+        unknown,
+        tol=1e-8,
+        max_nodes=20_000,
+    )
+    if not result.success:
+        raise OptimumError(f"the costate problem was not solved: {result.message}")
+    return float(result.y[8, -1])
+
+
+def _rates(problem: Problem, values: FloatArray) -> FloatArray:
+    """Return the rates of state (4), costates (4) and cost, shape (9, T)."""
+    s, y, theta, arc_length, *costates = values[:8]
+    target = problem.settings.target
+    v_des, gain = target.desired_speed, target.target_gain
+    curvature = problem.path.curvature(arc_length)
+    ahead = problem.path.curvature(arc_length + _CURVATURE_STEP)
+    behind = problem.path.curvature(arc_length - _CURVATURE_STEP)
+    slope = (ahead - behind) / (2.0 * _CURVATURE_STEP)
+    cos, sin = np.cos(theta), np.sin(theta)
+    speed = v_des * cos + gain * s
+    feedforward = error_dynamics.feedforward(curvature, target).T
+    along, across, turning, _ = costates
+    # The minimiser of the Hamiltonian; clipped to the box, it is the constrained one (R diagonal).
+    pull = np.stack([along * cos + across * sin, turning])
+    limits = problem.settings.limits
+    inputs = feedforward - 0.5 * np.linalg.solve(problem.input_cost, pull)
+    inputs = np.clip(inputs, limits.lower[:, None], limits.upper[:, None])
+    linear, angular = inputs
+    modified = inputs - feedforward
+    weighted = problem.input_cost @ modified
+    error_weighted = problem.state_cost @ values[:3]
+    rate = np.stack(
+        [
+            speed * (curvature * y - 1.0) + linear * cos,
+            linear * sin - curvature * s * speed,
+            angular - curvature * speed,
+            speed,
+        ]
+    )
+    # Partial derivatives of the rates by s, y, theta and s_p, at the inputs held.
+    nothing = np.zeros_like(s)
+    by_state = np.array(
+        [
+            [
+                gain * (curvature * y - 1.0),
+                speed * curvature,
+                -v_des * sin * (curvature * y - 1.0) - linear * sin,
+                slope * speed * y,
+            ],
+            [
+                -curvature * (speed + s * gain),
+                nothing,
+                linear * cos + curvature * s * v_des * sin,
+                -slope * s * speed,
+            ],
+            [-curvature * gain, nothing, curvature * v_des * sin, -slope * speed],
+            [gain + nothing, nothing, -v_des * sin, nothing],
+        ]
+    )
+    cost_slope = np.stack([*(2.0 * error_weighted), -2.0 * weighted[1] * slope * v_des])
+    costate_rate = -cost_slope - np.einsum("ijt,it->jt", by_state, np.array(costates))
+    cost = (values[:3] * error_weighted).sum(axis=0) + (modified * weighted).sum(axis=0)
+    return np.vstack([rate, costate_rate, cost])

@@ -1,0 +1,138 @@
+"""The optimal control problem offline, and motions to start a search from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import solve_continuous_are
+
+from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.policy import saturate
+from adp_path_follower.core.settings import Settings
+
+try:
+    import casadi
+except ImportError as error:
+    raise AdpError(
+        "the offline optimum needs CasADi: pip install 'adp_path_follower[optimum]'"
+    ) from error
+
+_MARGIN = 10.0  # [m] of path behind and ahead of what the desired speed covers
+
+
+class OptimumError(AdpError):
+    """Report an optimum that was not found."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion over time.
+
+    Attributes:
+        cost: J, infinite for a guess.
+        time: Shape (T,) [s].
+        state: s [m], y [m], theta [rad], s_p [m], shape (T, 4).
+        modified_input: u = [v_e, w_e], shape (T, 2).
+
+    """
+
+    cost: float
+    time: FloatArray
+    state: FloatArray
+    modified_input: FloatArray
+
+    def at(self, time: FloatArray) -> Motion:
+        """Return the motion at other times, going straight on beyond its end."""
+        state = np.stack([np.interp(time, self.time, column) for column in self.state.T], axis=1)
+        beyond = np.maximum(time - self.time[-1], 0.0)
+        state[:, 3] += (
+            beyond * (self.state[-1, 3] - self.state[-2, 3]) / (self.time[-1] - self.time[-2])
+        )
+        columns = [np.interp(time, self.time, column) for column in self.modified_input.T]
+        return Motion(self.cost, time, state, np.stack(columns, axis=1))
+
+
+class Problem:
+    """The optimal control problem in the target's frame, as numbers and as CasADi expressions."""
+
+    def __init__(
+        self, settings: Settings, path: Path, start_arc_length: float, horizon: float
+    ) -> None:
+        """Prepare the path's curvature from the start to what is reached in a time [s]."""
+        self.settings, self.path = settings, path
+        self.start_arc_length = start_arc_length
+        self.state_cost = settings.cost.state_cost_matrix()
+        self.input_cost = settings.cost.input_cost_matrix()
+        reach = start_arc_length + settings.target.desired_speed * horizon + _MARGIN
+        knots = np.arange(start_arc_length - _MARGIN, reach, 0.02)
+        self._curvature = casadi.interpolant("curvature", "bspline", [knots], path.curvature(knots))
+
+    def expressions(self) -> Any:
+        """Return a CasADi function (state, u) -> (state', running cost, angular velocity)."""
+        state, u = casadi.MX.sym("state", 4), casadi.MX.sym("u", 2)
+        s, y, theta, arc_length = casadi.vertsplit(state)
+        target = self.settings.target
+        curvature, v_des = self._curvature(arc_length), target.desired_speed
+        speed = v_des * casadi.cos(theta) + target.target_gain * s
+        rate = casadi.vertcat(
+            speed * (curvature * y - 1.0) + (v_des + u[0]) * casadi.cos(theta),
+            (v_des + u[0]) * casadi.sin(theta) - curvature * s * speed,
+            curvature * (v_des - speed) + u[1],
+            speed,
+        )
+        error = state[:3]
+        cost = casadi.bilin(self.state_cost, error, error) + casadi.bilin(self.input_cost, u, u)
+        return casadi.Function("problem", [state, u], [rate, cost, u[1] + curvature * v_des])
+
+    def guesses(self, start: FloatArray, time: FloatArray) -> list[Motion]:
+        """Return starting guesses: the Riccati policy's motion, a fast and a slow decay."""
+        v_des = self.settings.target.desired_speed
+        arc_length = self.start_arc_length + v_des * time
+        motions = []
+        for rate in (1.0, 0.3):
+            error = np.exp(-rate * time)[:, None] * start
+            state = np.column_stack([error, arc_length])
+            motions.append(Motion(math.inf, time, state, np.zeros((len(time), 2))))
+        return [self._riccati_motion(start, time), *motions]
+
+    def riccati(self) -> FloatArray:
+        """Return P of the value e^T P e near a straight path, shape (3, 3)."""
+        target = self.settings.target
+        drift = np.zeros((3, 3))
+        drift[0, 0], drift[1, 2] = -target.target_gain, target.desired_speed
+        inputs = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+        try:
+            solution = solve_continuous_are(drift, inputs, self.state_cost, self.input_cost)
+        except (ValueError, np.linalg.LinAlgError):
+            # A state that costs nothing has no stabilising solution; a small cost gives a guess.
+            solution = solve_continuous_are(
+                drift, inputs, self.state_cost + 1e-3 * np.eye(3), self.input_cost
+            )
+        return np.asarray(solution)
+
+    def _riccati_motion(self, start: FloatArray, time: FloatArray) -> Motion:
+        """Return the motion of the Riccati policy, with its errors bounded to stay a guess."""
+        target, limits = self.settings.target, self.settings.limits
+        gain = np.linalg.solve(self.input_cost, self.riccati()[[0, 2]])
+        fine = np.arange(0.0, time[-1] + 0.02, 0.02)
+        state = np.empty((len(fine), 4))
+        inputs = np.empty((len(fine), 2))
+        state[0] = [*start, self.start_arc_length]
+        for step in range(len(fine)):
+            curvature = self.path.curvature(state[step, 3])
+            forward = error_dynamics.feedforward(curvature, target)
+            inputs[step] = saturate(-gain @ state[step, :3], forward, limits)
+            if step + 1 < len(fine):
+                zeta = np.append(state[step, :3], 0.0)
+                rate = error_dynamics.drift(zeta, curvature, target)
+                rate[:3] += (error_dynamics.input_matrix(zeta) @ inputs[step])[:3]
+                speed = error_dynamics.target_speed(zeta, target)
+                state[step + 1, :3] = np.clip(state[step, :3] + 0.02 * rate[:3], -20.0, 20.0)
+                state[step + 1, 3] = state[step, 3] + 0.02 * speed
+        return Motion(math.inf, fine, state, inputs).at(time)

@@ -1,0 +1,95 @@
+"""The supervisor against what its history allows: the robot moves only if nothing forbids it."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adp_path_follower.core.supervisor import State, Supervisor
+
+TIMEOUT = 0.5
+EVENTS = [
+    *("activate", "deactivate", "path", "no path", "odometry", "bad odometry", "wait"),
+    *("long wait", "goal", "refused"),
+]
+
+
+def played(events):
+    """Return the supervisor after these events, the time, and what the history amounts to."""
+    supervisor, now = Supervisor(TIMEOUT), 100.0
+    facts = {"active": False, "path": False, "odometry": None, "problem": "", "goal": False}
+    refused = False
+    for event in events:
+        if event in ("activate", "deactivate"):
+            supervisor.active = facts["active"] = event == "activate"
+        elif event == "path":
+            supervisor.path_received()
+            facts.update(path=True, goal=False)
+        elif event == "no path":
+            supervisor.path_removed()
+            facts["path"] = False
+        elif event in ("odometry", "bad odometry"):
+            problem = "pose is not finite" if event == "bad odometry" else ""
+            supervisor.odometry_received(now, problem)
+            facts.update(odometry=now, problem=problem)
+            refused = False
+        elif event in ("wait", "long wait"):
+            now += 0.2 if event == "wait" else 0.6
+        elif event == "goal":
+            supervisor.goal_reached()
+            facts["goal"] = True
+        else:
+            supervisor.command_refused("command is not finite")
+            refused = True
+    return supervisor, now, {**facts, "refused": refused}
+
+
+@settings(max_examples=300, deadline=None)
+@given(events=st.lists(st.sampled_from(EVENTS), max_size=14), ready=st.booleans())
+def test_the_robot_moves_only_if_nothing_forbids_it(events, ready):
+    start = ["activate", "path", "odometry"] if ready else []
+    supervisor, now, facts = played([*start, *events])
+    status = supervisor.status(now)
+    odometry = facts["odometry"]
+    stale = odometry is not None and now - odometry > TIMEOUT
+    sound = odometry is not None and not stale and not facts["problem"] and not facts["refused"]
+    may_move = facts["active"] and facts["path"] and sound and not facts["goal"]
+    assert (status.state is State.FOLLOWING) == may_move
+    assert bool(status.cause) == (status.state is not State.FOLLOWING)
+    assert bool(status.remedy) == (status.state is not State.FOLLOWING)
+
+
+READY = ["activate", "path", "odometry"]
+
+
+@pytest.mark.parametrize(
+    ("events", "state", "cause"),
+    [
+        ([], State.INACTIVE, "activated"),
+        (["activate"], State.WAITING, "no path"),
+        (["activate", "path"], State.WAITING, "no odometry"),
+        (READY, State.FOLLOWING, ""),
+        ([*READY, "long wait"], State.FAULT, "0.5 s"),
+        ([*READY, "long wait", "odometry"], State.FOLLOWING, ""),
+        ([*READY, "bad odometry"], State.FAULT, "pose is not finite"),
+        ([*READY, "bad odometry", "odometry"], State.FOLLOWING, ""),
+        ([*READY, "refused"], State.FAULT, "command is not finite"),
+        ([*READY, "refused", "odometry"], State.FOLLOWING, ""),
+        ([*READY, "goal"], State.GOAL_REACHED, "end"),
+        ([*READY, "goal", "path"], State.FOLLOWING, ""),
+        ([*READY, "goal", "long wait"], State.FAULT, "0.5 s"),
+        ([*READY, "no path"], State.WAITING, "no path"),
+        ([*READY, "deactivate"], State.INACTIVE, "activated"),
+    ],
+)
+def test_states_and_their_causes(events, state, cause):
+    supervisor, now, _ = played(events)
+    status = supervisor.status(now)
+    assert status.state is state
+    assert cause in status.cause
+
+
+def test_the_timeout_can_be_changed():
+    supervisor, now, _ = played([*READY, "long wait"])
+    assert supervisor.status(now).state is State.FAULT
+    supervisor.odom_timeout = 2.0
+    assert supervisor.status(now).state is State.FOLLOWING
