@@ -10,6 +10,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -21,13 +22,14 @@ from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.nodes.conversions import NANOSECONDS, odometry_message, stamp_nanoseconds
 from adp_path_follower.nodes.parameters import changed_settings, declare_settings
-from adp_path_follower.nodes.run import run_node
+from adp_path_follower.nodes.run import Ending, run_node
 from sim_unicycle.settings import SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
 
 NODE_NAME = "unicycle_sim"
 
 _DISCOVERY_PERIOD = 0.1  # [s], steady
+_DELIVERY_TIMEOUT = 5.0  # [s]
 _RESEND_PERIOD = 0.1  # [s], steady: how long lock-step waits before it repeats its odometry
 _REMINDER = 5.0  # [s], steady: how long it waits before it tells the user
 _ZERO = np.zeros(2)
@@ -37,7 +39,7 @@ _EVERY_STEP = QoSProfile(depth=10)
 _LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class SimulatorNode(Node):
+class SimulatorNode(Ending, Node):
     """A unicycle in simulated time.
 
     In lock-step, time stands still until a command arrives that answers the last odometry: a
@@ -48,7 +50,6 @@ class SimulatorNode(Node):
     def __init__(self) -> None:
         """Declare the parameters and start."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        self.finished, self.linger = False, 0.0
         self._settings = declare_settings(self, SimulatorSettings)
         self.add_on_set_parameters_callback(self._change_parameters)
         simulation = self._settings.simulation
@@ -86,7 +87,10 @@ class SimulatorNode(Node):
         self.get_logger().info(f"simulating {mode}")
 
     def last_words(self) -> None:
-        """Say nothing: a simulator that is gone needs no warning."""
+        """Wait, not for long, until a recorder has got everything."""
+        if self._settings.simulation.lockstep:
+            for publisher in (self._ground_truth, self._odometry):
+                publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TIMEOUT))
 
     def _new_robot(self) -> Unicycle:
         start = self._settings.start

@@ -30,7 +30,7 @@ def adp(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess
 def test_help_teaches():
     overview = adp("--help")
     assert overview.returncode == 0
-    for command in ("demo", "simulate", "parameters"):
+    for command in ("demo", "optimum", "simulate", "parameters"):
         assert command in overview.stdout
         text = adp(command, "--help")
         assert text.returncode == 0

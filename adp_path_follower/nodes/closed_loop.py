@@ -70,25 +70,32 @@ def run_closed_loop(
     x, y, theta = pose_in_frame(start, path.frame(0.0).pose).tolist()
     with own_domain() as domain:
         nodes: list[NodeProcess] = []
+        started: list[NodeProcess] = []
 
         def launch(executable: str, parameters: dict[str, Any]) -> NodeProcess:
             log = logs / f"{executable}.log"
             nodes.append(NodeProcess(executable, parameters, log=log, domain=domain))
+            started.append(nodes[-1])
             return nodes[-1]
 
         try:
-            controller = launch("controller", {**flatten(settings), **_LOCKSTEP, **_SIM_TIME})
+            launch("controller", {**flatten(settings), **_LOCKSTEP, **_SIM_TIME})
             recorder = launch("recorder", {"output": str(bag), **_SIM_TIME})
             simulator = launch(
                 "sim_unicycle",
                 {"lockstep": True, "duration": duration, "x": x, "y": y, "theta": theta},
             )
-            _wait(lambda: report(None), recorder, [controller, simulator])
+            # The path starts the run, so it comes when simulator and controller are being heard;
+            # it is heard itself, and the configuration after it, perhaps only when all is over.
+            _wait(nodes, recorder, ("/odom", "/cmd_vel"), lambda: report(None))
             launch("path_publisher", {"path": path_name})
             _Monitor(domain).watch(simulator, nodes, report)
+            nodes.remove(simulator)
+            rest = ("/path", "/path_follower/configuration", "/path_follower/tracking_error")
+            _wait(nodes, recorder, rest, lambda: None)
         finally:
             # The recorder last: it must hear the others' last words.
-            for node in sorted(nodes, key=lambda node: node.name == "recorder"):
+            for node in sorted(started, key=lambda node: node.name == "recorder"):
                 node.stop()
     if recorder.process.returncode != 0:
         raise AdpError(f"the recorder failed: {recorder.last_line()}")
@@ -98,12 +105,21 @@ def run_closed_loop(
 _SIM_TIME = {"use_sim_time": True}
 
 
-def _wait(idle: Callable[[], None], recorder: NodeProcess, others: list[NodeProcess]) -> None:
-    """Wait until the recorder listens to the simulator and to the controller's last topic."""
+def _wait(
+    nodes: list[NodeProcess],
+    recorder: NodeProcess,
+    topics: tuple[str, ...],
+    idle: Callable[[], None],
+) -> None:
+    """Wait until the recorder has got something on every topic.
+
+    Raises:
+        AdpError: A node ended meanwhile, or it takes too long.
+
+    """
     deadline = time.monotonic() + _READY_TIMEOUT
-    expected = ("recording /odom", "recording /cmd_vel", "recording /path_follower/tracking_error")
-    while not all(text in recorder.output() for text in expected):
-        for node in (recorder, *others):
+    while not all(f"recording {topic}\n" in recorder.output() for topic in topics):
+        for node in nodes:
             if node.process.poll() is not None:
                 raise AdpError(f"{node.name} ended early: {node.last_line()}")
         if time.monotonic() > deadline:

@@ -11,6 +11,7 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -34,7 +35,7 @@ from adp_path_follower.nodes.conversions import (
     twist_stamped,
 )
 from adp_path_follower.nodes.parameters import changed_settings, declare_settings
-from adp_path_follower.nodes.run import run_node
+from adp_path_follower.nodes.run import Ending, run_node
 from adp_path_follower.nodes.telemetry import EVERY_STEP, LOSSLESS, Telemetry
 
 NODE_NAME = "path_follower"
@@ -42,17 +43,17 @@ NODE_NAME = "path_follower"
 _WATCHDOG_PERIOD = 0.02  # [s], steady
 _STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop
 _MARKER_PERIOD = 0.1  # [s], steady
+_DELIVERY_TIMEOUT = 0.3  # [s]
 _LAST_WORDS = 3  # zero velocities before the node goes
 _ZERO = np.zeros(2)
 
 
-class PathFollowerNode(LifecycleNode):
+class PathFollowerNode(Ending, LifecycleNode):
     """Orchestrate: messages to `PathFollower`, `Supervisor` and back."""
 
     def __init__(self) -> None:
         """Declare the parameters; the rest waits for the lifecycle."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        self.finished, self.linger = False, 0.0
         self._settings = declare_settings(self, Settings)
         self.add_on_set_parameters_callback(self._change_parameters)
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -139,12 +140,13 @@ class PathFollowerNode(LifecycleNode):
         return super().on_shutdown(state)
 
     def last_words(self) -> None:
-        """Publish zero velocity three times."""
+        """Publish zero velocity three times and wait, not for long, until it was delivered."""
         if self._command_publisher is None:
             return
         for _ in range(_LAST_WORDS):
             self._send(_ZERO, self._now())
             steady.sleep(0.01)
+        self._command_publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TIMEOUT))
 
     def _destroy_entities(self) -> None:
         for destroy, entity in self._entities:

@@ -15,7 +15,7 @@ from adp_path_follower.core.path_library import PATH_HELP, named_path
 from adp_path_follower.core.schema import setting
 from adp_path_follower.nodes.conversions import path_message
 from adp_path_follower.nodes.parameters import changed_settings, declare_settings
-from adp_path_follower.nodes.run import run_node
+from adp_path_follower.nodes.run import Ending, run_node
 
 NODE_NAME = "path_publisher"
 
@@ -38,22 +38,18 @@ class PathPublisherSettings:
     path_publisher: PublishedPathSettings
 
 
-class PathPublisherNode(Node):
+class PathPublisherNode(Ending, Node):
     """Publish one path, and again whenever a parameter changes."""
 
     def __init__(self) -> None:
         """Read the path and publish it."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        self.finished, self.linger = False, 0.0
         settings = declare_settings(self, PathPublisherSettings)
         message = self._message(settings)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._publisher = self.create_publisher(PathMessage, "path", latched)
         self._publish(settings, message)
         self.add_on_set_parameters_callback(self._change_parameters)
-
-    def last_words(self) -> None:
-        """Say nothing: the path stays valid."""
 
     def _message(self, settings: PathPublisherSettings) -> PathMessage:
         published = settings.path_publisher

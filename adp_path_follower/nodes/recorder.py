@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import platform
+import time as steady
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -19,7 +20,7 @@ from adp_path_follower import __version__
 from adp_path_follower.bags.writer import BagWriter, UnknownTypeError
 from adp_path_follower.core.schema import setting
 from adp_path_follower.nodes.parameters import declare_settings
-from adp_path_follower.nodes.run import run_node
+from adp_path_follower.nodes.run import Ending, run_node
 
 NODE_NAME = "recorder"
 RUN_TOPICS = (
@@ -40,6 +41,7 @@ RUN_TOPICS = (
 
 _FLUSH_PERIOD = 0.25  # [s], steady: what a kill -9 can lose
 _DISCOVERY_PERIOD = 0.1  # [s], steady
+_LEAST_LINGER, _MOST_LINGER = 0.3, 5.0  # [s], steady
 _FIXED = "the bag is made at the start"
 
 
@@ -64,14 +66,14 @@ class RecorderSettings:
     bag: BagSettings
 
 
-class RecorderNode(Node):
+class RecorderNode(Ending, Node):
     """Write messages as they were serialised; decode nothing."""
 
     def __init__(self) -> None:
         """Create the bag and look for the topics."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        # A launch file ends all nodes at once: the others' last words come after our signal.
-        self.finished, self.linger = False, 0.3
+        self._last_message = 0.0  # steady [s]
+        self._silent: set[int] = set()  # topics without a message so far
         bag = declare_settings(self, RecorderSettings).bag
         name = bag.output or datetime.now().strftime("adp_run_%Y_%m_%d-%H_%M_%S")
         self._writer: BagWriter | None = BagWriter(
@@ -83,6 +85,14 @@ class RecorderNode(Node):
         self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=clock)
         self.create_timer(_FLUSH_PERIOD, self._flush, clock=clock)
         self.get_logger().info(f"recording to {self._writer.directory}")
+
+    def lingers(self, elapsed: float) -> bool:
+        """Return whether messages are still coming in.
+
+        A launch file ends all nodes at once, so the others' last words come after our signal.
+        """
+        quiet = steady.monotonic() - self._last_message
+        return elapsed < _LEAST_LINGER or (quiet < _LEAST_LINGER and elapsed < _MOST_LINGER)
 
     def last_words(self) -> None:
         """Close the bag, with all that has arrived."""
@@ -118,19 +128,23 @@ class RecorderNode(Node):
         self.create_subscription(
             kind,
             topic,
-            functools.partial(self._record, number),
+            functools.partial(self._record, number, topic),
             _matching_qos(publishers),
             raw=True,
         )
-        self.get_logger().info(f"recording {topic}")
+        self._silent.add(number)
 
-    def _record(self, topic: int, message: bytes, info: dict[str, int]) -> None:
+    def _record(self, number: int, topic: str, message: bytes, info: dict[str, int]) -> None:
         """Write one serialised message."""
+        self._last_message = steady.monotonic()
+        if number in self._silent:
+            self._silent.discard(number)
+            self.get_logger().info(f"recording {topic}")
         if self._writer is None:
             return
         try:
             now = self.get_clock().now().nanoseconds
-            self._writer.write(topic, message, now, info["source_timestamp"])
+            self._writer.write(number, message, now, info["source_timestamp"])
         except OSError as error:
             self._give_up(error)
 

@@ -22,7 +22,9 @@ class RunnableNode(Protocol):
     """What `run_node` asks of a node beyond rclpy's own."""
 
     finished: bool
-    linger: float  # how long [s] to go on listening after a signal
+
+    def lingers(self, elapsed: float) -> bool:
+        """Return whether to go on for now, so long [s] after the node should have ended."""
 
     def last_words(self) -> None:
         """Publish what must be said before the node goes; called once, whatever happened."""
@@ -42,6 +44,19 @@ class _StopSignal:
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
         self.received = True
+
+
+class Ending:
+    """How most nodes end: at once."""
+
+    finished = False
+
+    def lingers(self, elapsed: float) -> bool:
+        """Return False: there is nothing to wait for."""
+        return False
+
+    def last_words(self) -> None:
+        """Say nothing."""
 
 
 def run_node(name: str, make_node: Callable[[], Node]) -> int:
@@ -64,8 +79,8 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
         executor.add_node(node)
         while not stop.received and not node.finished and rclpy.ok():
             executor.spin_once(timeout_sec=0.1)
-        end = steady.monotonic() + node.linger
-        while steady.monotonic() < end and rclpy.ok():
+        end = steady.monotonic()
+        while node.lingers(steady.monotonic() - end) and rclpy.ok():
             executor.spin_once(timeout_sec=0.05)
     except ExternalShutdownException:
         pass

@@ -38,8 +38,8 @@ def costate_cost(problem: Problem, motion: Motion) -> float:
         lambda first, last: np.concatenate([first[:4] - start, last[4:8], first[8:]]),
         motion.time,
         unknown,
-        tol=1e-8,
-        max_nodes=20_000,
+        tol=1e-6,
+        max_nodes=50_000,
     )
     if not result.success:
         raise OptimumError(f"the costate problem was not solved: {result.message}")

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import casadi
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
@@ -15,13 +16,6 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.settings import Settings
-
-try:
-    import casadi
-except ImportError as error:
-    raise AdpError(
-        "the offline optimum needs CasADi: pip install 'adp_path_follower[optimum]'"
-    ) from error
 
 _MARGIN = 10.0  # [m] of path behind and ahead of what the desired speed covers
 

@@ -1,0 +1,172 @@
+"""The offline optimum against values computed elsewhere, and against its necessary conditions."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
+
+from adp_path_follower.core.path_library import named_path
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.optimum.collocation import OptimumSolver
+from adp_path_follower.optimum.costate import costate_cost
+from adp_path_follower.optimum.problem import OptimumError
+from adp_path_follower.simulation import simulate
+
+REFERENCE = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
+PAPER_START = REFERENCE["figure_eight"]["start"]
+UNLIMITED = {
+    "min_linear_vel": -math.inf,
+    "max_linear_vel": math.inf,
+    "max_angular_vel": math.inf,
+}
+PATHS = {"lissajous": "lissajous", "line": "line", "circle0.5": "circle:0.5"}
+PATHS["circle1.0"] = "circle:1.0"
+
+
+def solver(path: str = "lissajous", horizon: float = 30.0, **settings: object) -> OptimumSolver:
+    built = build(Settings, {**UNLIMITED, **settings})
+    return OptimumSolver(built, named_path(path), horizon=horizon)
+
+
+@pytest.mark.parametrize("key", PATHS)
+def test_agrees_with_every_reference_value(key):
+    costs = REFERENCE["forty_starts"][key]["costs"]
+    optimum = solver(PATHS[key])
+    found = [optimum.solve(np.array(start)) for start in REFERENCE["forty_starts"]["e0"]]
+    assert [item.cost for item in found] == pytest.approx(costs, rel=1e-5)
+    assert max(item.horizon_change for item in found) < 1e-6
+    assert not any(item.has_local_optima for item in found)
+
+
+@pytest.mark.parametrize(
+    ("curvature", "cost"),
+    REFERENCE["constant_curvature_costs_from_the_same_start"].items(),
+)
+def test_agrees_on_circles(curvature, cost):
+    path = "line" if curvature == "0" else f"circle:{curvature}"
+    assert solver(path).solve(np.array(PAPER_START)).cost == pytest.approx(cost, rel=1e-6)
+
+
+def test_agrees_with_the_reference_motion():
+    reference = REFERENCE["figure_eight"]
+    motion = solver().solve(np.array(PAPER_START)).motion
+    for row, column in enumerate(("s", "y", "theta")):
+        # Straight lines between collocation points are good to what the reference is rounded to
+        # only where the points lie close.
+        found = np.interp(reference["t"], motion.time, motion.state[:, row])
+        expected = np.array(reference["e"])[:, row]
+        assert found == pytest.approx(expected, abs=2e-3), column
+    assert motion.modified_input[0] == pytest.approx(reference["u"][0], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("settings", "start"),
+    [
+        ({}, PAPER_START),
+        ({}, [0.8, -0.6, 0.9]),
+        ({"state_cost": (1.0, 3.0, 0.5), "input_cost": (2.0, 0.5)}, [0.3, 0.4, -0.5]),
+        ({"state_cost": (1.0, 0.2, 0.0, 0.2, 2.0, 0.1, 0.0, 0.1, 1.0)}, [0.3, 0.4, -0.5]),
+        ({"input_cost": (1.0, 0.3, 0.3, 2.0)}, [0.3, 0.4, -0.5]),
+        ({"min_linear_vel": 0.0, "max_linear_vel": 1.0, "max_angular_vel": 1.5}, [1.0, 1.0, 1.0]),
+    ],
+)
+def test_collocation_and_costates_agree(settings, start):
+    optimum = solver(**settings)
+    found = optimum.solve(np.array(start))
+    assert costate_cost(optimum.problem, found.motion) == pytest.approx(found.cost, rel=1e-6)
+
+
+def test_limits_hold_and_cost():
+    limits = {"min_linear_vel": 0.0, "max_linear_vel": 1.0, "max_angular_vel": 1.5}
+    start = np.array([1.0, 1.0, 1.0])
+    optimum = solver(**limits)
+    motion = optimum.solve(start).motion
+    linear = 0.5 + motion.modified_input[1:, 0]
+    curvature = named_path("lissajous").curvature(motion.state[1:, 3])
+    angular = 0.5 * curvature + motion.modified_input[1:, 1]
+    assert linear.min() > -1e-6
+    assert linear.max() < 1.0 + 1e-6
+    assert np.abs(angular).max() < 1.5 + 1e-6
+    assert motion.cost > solver().solve(start).cost * 1.01
+
+
+def test_no_controller_is_better_than_the_optimum():
+    """Bellman's word: whatever policy is simulated, J is not below J*."""
+    path, rng = named_path("lissajous"), np.random.default_rng(3)
+    starts = rng.uniform(-1.0, 1.0, (6, 3))
+    optimum = solver()
+    best = np.array([optimum.solve(start).cost for start in starts])
+    for assignments in ({}, {"learning": False}, {"critic_gain_measured": 0.5}):
+        settings = build(Settings, {**UNLIMITED, **assignments})
+        cost = simulate(settings, path, starts, duration=30.0).cost
+        assert (cost > best * (1.0 - 1e-5)).all()
+
+
+def test_on_the_path_nothing_is_to_be_won():
+    assert solver("circle:0.5").solve(np.zeros(3)).cost == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("start", [[math.nan, 0.0, 0.0], [0.0, 0.0], [math.inf, 1.0, 1.0]])
+def test_refuses_starts_that_are_none(start):
+    with pytest.raises(OptimumError, match="must be finite values s, y, theta"):
+        solver().solve(np.array(start))
+
+
+def test_refuses_a_horizon_that_is_none():
+    with pytest.raises(OptimumError, match="must be finite, the horizon above 0"):
+        solver(horizon=-1.0)
+
+
+def _adp(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "adp_path_follower.cli.main", "optimum", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=120,
+    )
+
+
+def test_the_command_writes_what_it_found(tmp_path):
+    done = _adp(
+        *("--check", "--json", "o.json", "--npz", "o.npz", "--figure", "o.png"), cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    (entry,) = json.loads((tmp_path / "o.json").read_text())["optima"]
+    assert entry["converged"]
+    assert entry["cost"] == pytest.approx(REFERENCE["figure_eight"]["cost"], rel=1e-6)
+    assert entry["costate_cost"] == pytest.approx(entry["cost"], rel=1e-8)
+    arrays = np.load(tmp_path / "o.npz", allow_pickle=False)
+    assert arrays["state_0"].shape == (len(entry["t"]), 4)
+    assert (tmp_path / "o.png").stat().st_size > 10_000
+    assert "0.5418868" in done.stdout
+
+
+def test_a_start_without_an_optimum_is_named_and_the_others_are_there(tmp_path):
+    done = _adp(
+        *("--start", "nan", "0", "0", "--start", "0.1", "0.1", "0.1", "--json", "o.json"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 1
+    assert "start is [nan, 0.0, 0.0]" in done.stderr
+    assert "Traceback" not in done.stderr
+    bad, good = json.loads((tmp_path / "o.json").read_text())["optima"]
+    assert not bad["converged"]
+    assert good["converged"]
+
+
+def test_without_casadi_the_command_names_the_extra(tmp_path):
+    (tmp_path / "casadi.py").write_text("raise ImportError('not here')\n")
+    done = _adp(cwd=tmp_path)
+    assert done.returncode == 2
+    assert "pip install 'adp_path_follower[optimum]'" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
