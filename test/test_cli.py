@@ -30,6 +30,8 @@ def adp(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess
 def test_help_teaches():
     overview = adp("--help")
     assert overview.returncode == 0
+    assert "paper" in overview.stdout
+    assert "theorem" in adp("paper", "--help").stdout
     for command in ("demo", "optimum", "simulate", "parameters"):
         assert command in overview.stdout
         text = adp(command, "--help")
@@ -123,6 +125,8 @@ BAD_INPUT = [
     (["demo", "--params", "missing.yaml"], "file missing.yaml cannot be read"),
     (["demo", "--out", "full"], "output full holds files already"),
     (["demo", "--out", "empty"], "output empty is a file"),
+    (["paper", "--out", "full"], "output full holds files already"),
+    (["optimum", "--horizon", "-1"], "horizon -1.0 s"),
 ]
 
 

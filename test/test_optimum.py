@@ -17,7 +17,7 @@ from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.optimum.collocation import OptimumSolver
-from adp_path_follower.optimum.costate import costate_cost
+from adp_path_follower.optimum.costate import solve_costates
 from adp_path_follower.optimum.problem import OptimumError
 from adp_path_follower.simulation import simulate
 
@@ -82,7 +82,16 @@ def test_agrees_with_the_reference_motion():
 def test_collocation_and_costates_agree(settings, start):
     optimum = solver(**settings)
     found = optimum.solve(np.array(start))
-    assert costate_cost(optimum.problem, found.motion) == pytest.approx(found.cost, rel=1e-6)
+    assert solve_costates(optimum.problem, found.motion).cost == pytest.approx(found.cost, rel=1e-6)
+
+
+def test_costates_are_the_gradient_of_the_optimal_cost():
+    optimum, start, step = solver(), np.array([0.4, -0.3, 0.5]), 1e-3
+    extremal = solve_costates(optimum.problem, optimum.solve(start).motion)
+    for axis in range(3):
+        shift = step * np.eye(3)[axis]
+        ahead, behind = optimum.solve(start + shift).cost, optimum.solve(start - shift).cost
+        assert extremal.costates[axis] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-4)
 
 
 def test_limits_hold_and_cost():

@@ -1,40 +1,126 @@
-"""The paper's figures 2 to 5 from a run."""
+"""The paper's figures 2 to 5 of a run, recorded or simulated."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from adp_path_follower.analysis.metrics import PaperOptimum
+from adp_path_follower.analysis.metrics import ReferenceMotion
 from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.bags.reader import Run, Series
 from adp_path_follower.bags.replay import Replay
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path as FollowedPath
+from adp_path_follower.simulation import Trajectories
+
+_TRANSIENT = 15.0  # [s] that the left panels show
+_START = 8.0  # [s] that the close-up of the path shows
+
+
+@dataclass(frozen=True)
+class RunView:
+    """What the figures show of a run.
+
+    Attributes:
+        time: Time of each control step [s], shape (T,).
+        path: Positions along the path, shape (P, 2).
+        track: x, y, theta of the robot, shape (T, 3).
+        target: x, y of the virtual target, shape (T, 2).
+        error: e, shape (T, 3).
+        modified_input: u, shape (T, 2).
+        weight_time: Time of each row of the weights [s], shape (W,).
+        critic_weights: Shape (W, L).
+        actor_weights: Shape (W, L).
+        labels: Names of the terms of the basis, length L.
+
+    """
+
+    time: FloatArray
+    path: FloatArray
+    track: FloatArray
+    target: FloatArray
+    error: FloatArray
+    modified_input: FloatArray
+    weight_time: FloatArray
+    critic_weights: FloatArray
+    actor_weights: FloatArray
+    labels: tuple[str, ...]
+
+
+def view_of_replay(run: Run, replay: Replay) -> RunView:
+    """Return the view of a recorded run: its weights as recorded, the rest as replayed."""
+    start = replay.stamp[0]
+    nothing = Series(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
+    critic = run.series.get("critic_weights", nothing)
+    actor = run.series.get("actor_weights", nothing)
+    count = min(len(critic.stamp), len(actor.stamp))
+    return RunView(
+        time=(replay.stamp - start) * 1e-9,
+        path=replay.follower.path.points(0.05)[:, :2],
+        track=replay.odometry[:, :3],
+        target=np.array([output.target_pose[:2] for output in replay.outputs]),
+        error=np.array([output.error for output in replay.outputs]),
+        modified_input=np.array([output.modified_input for output in replay.outputs]),
+        weight_time=(critic.stamp[:count] - start) * 1e-9,
+        critic_weights=critic.values[:count],
+        actor_weights=actor.values[:count],
+        labels=critic.labels,
+    )
+
+
+def view_of_simulation(
+    trajectories: Trajectories, run: int, path: FollowedPath, labels: tuple[str, ...]
+) -> RunView:
+    """Return the view of one run of a simulation."""
+    return RunView(
+        time=trajectories.time,
+        path=path.points(0.05)[:, :2],
+        track=trajectories.pose[run],
+        target=path.frame(trajectories.arc_length[run]).pose[:, :2],
+        error=trajectories.error[run],
+        modified_input=trajectories.modified_input[run],
+        weight_time=trajectories.time,
+        critic_weights=trajectories.critic_weights[run],
+        actor_weights=trajectories.actor_weights[run],
+        labels=labels,
+    )
 
 
 def draw_figures(
-    run: Run, replay: Replay, directory: Path, optimum: PaperOptimum | None = None
+    view: RunView, directory: Path, optimum: ReferenceMotion | None = None
 ) -> list[Path]:
     """Draw the paper's figures of a run; return the PNG files.
 
     Args:
-        run: The recorded run.
-        replay: Its replay, for errors and inputs at each control step.
+        view: The run.
         directory: Where the files go; made if it is missing.
         optimum: The offline optimum to mark by circles, as in the paper.
 
     """
-    directory.mkdir(parents=True, exist_ok=True)
-    time = (replay.stamp - replay.stamp[0]) * 1e-9
     drawings = {
-        "figure_2_path.png": lambda: _path(run, replay),
-        "figure_3_states.png": lambda: _states(replay, time, optimum),
-        "figure_4_controls.png": lambda: _controls(replay, time, optimum),
-        "figure_5_weights.png": lambda: _weights(run, replay.stamp[0]),
+        "figure_2_path.png": lambda: _path(view, optimum),
+        "figure_3_states.png": lambda: _against_optimum(
+            "Errors to the virtual target",
+            ("s [m]", "y [m]", "θ [rad]"),
+            view.time,
+            view.error,
+            None if optimum is None else (optimum.time, optimum.error),
+        ),
+        "figure_4_controls.png": lambda: _against_optimum(
+            "Inputs beside the feedforward",
+            ("v_e = v − v_ss [m/s]", "ω_e = ω − ω_ss [rad/s]"),
+            view.time,
+            view.modified_input,
+            None if optimum is None else (optimum.time, optimum.modified_input),
+        ),
+        "figure_5_weights.png": lambda: _weights(view),
     }
+    directory.mkdir(parents=True, exist_ok=True)
     files = []
     with mpl.rc_context(STYLE):
         for name, draw in drawings.items():
@@ -43,31 +129,36 @@ def draw_figures(
     return files
 
 
-def _path(run: Run, replay: Replay) -> Figure:
+def _path(view: RunView, optimum: ReferenceMotion | None) -> Figure:
     figure = Figure(figsize=(9.0, 6.0))
     wide, near = figure.subplots(1, 2, width_ratios=[1.0, 1.2])
-    path = replay.follower.path.points(0.05)
-    target = np.array([output.target_pose for output in replay.outputs])
-    track = replay.odometry
     for axes in (wide, near):
-        axes.plot(path[:, 0], path[:, 1], color="0.6", linewidth=3, label="path")
-        axes.plot(track[:, 0], track[:, 1], color=COLORS[0], linewidth=1.5, label="robot")
+        axes.plot(*view.path.T, color="0.6", linewidth=3, label="path")
+        axes.plot(*view.track[:, :2].T, color=COLORS[0], linewidth=1.5, label="robot")
         axes.set_aspect("equal")
         axes.set_xlabel("x [m]")
         axes.set_ylabel("y [m]")
-    wide.plot(*track[0, :2], "o", color=COLORS[1], label="start")
-    wide.plot(*track[-1, :2], "s", color=COLORS[2], label="end")
+    wide.plot(*view.track[0, :2], "o", color=COLORS[1], label="start")
+    wide.plot(*view.track[-1, :2], "s", color=COLORS[2], label="end")
     wide.legend(loc="upper left", fontsize=8)
     wide.set_title("Path and robot")
     # The first seconds decide the cost, and are too small to see in the whole.
-    near.plot(target[:, 0], target[:, 1], ":", color=COLORS[1], label="virtual target")
-    steps = len(track)
-    arrows = slice(0, min(steps, 800), 100)
+    early = view.time <= _START
+    near.plot(*view.target.T, ":", color=COLORS[1], label="virtual target")
+    if optimum is not None and optimum.position is not None:
+        near.plot(
+            *optimum.position[optimum.time <= _START].T,
+            "o",
+            color="0.2",
+            markersize=4,
+            markerfacecolor="none",
+            label="offline optimum",
+        )
+    arrows = np.searchsorted(view.time, np.arange(0.0, min(_START, view.time[-1]), 1.0))
     near.quiver(
-        track[arrows, 0],
-        track[arrows, 1],
-        np.cos(track[arrows, 2]),
-        np.sin(track[arrows, 2]),
+        *view.track[arrows, :2].T,
+        np.cos(view.track[arrows, 2]),
+        np.sin(view.track[arrows, 2]),
         color=COLORS[0],
         angles="xy",
         scale_units="xy",
@@ -75,38 +166,13 @@ def _path(run: Run, replay: Replay) -> Figure:
         width=0.008,
         zorder=3,
     )
-    low = np.minimum(track[:800, :2].min(axis=0), target[:800, :2].min(axis=0)) - 0.3
-    high = np.maximum(track[:800, :2].max(axis=0), target[:800, :2].max(axis=0)) + 0.3
-    near.set_xlim(low[0], high[0])
-    near.set_ylim(low[1], high[1])
+    shown = np.vstack([view.track[early, :2], view.target[early]])
+    near.set_xlim(shown[:, 0].min() - 0.3, shown[:, 0].max() + 0.3)
+    near.set_ylim(shown[:, 1].min() - 0.3, shown[:, 1].max() + 0.3)
     near.legend(loc="upper left", fontsize=8)
     near.set_title("The start (an arrow every second)")
     figure.tight_layout()
     return figure
-
-
-def _states(replay: Replay, time: FloatArray, optimum: PaperOptimum | None) -> Figure:
-    error = np.array([output.error for output in replay.outputs])
-    labels = ("s [m]", "y [m]", "θ [rad]")
-    return _against_optimum(
-        "Errors to the virtual target",
-        labels,
-        time,
-        error,
-        None if optimum is None else (optimum.time, optimum.error),
-    )
-
-
-def _controls(replay: Replay, time: FloatArray, optimum: PaperOptimum | None) -> Figure:
-    inputs = np.array([output.modified_input for output in replay.outputs])
-    labels = ("v_e = v − v_ss [m/s]", "ω_e = ω − ω_ss [rad/s]")
-    return _against_optimum(
-        "Inputs beside the feedforward",
-        labels,
-        time,
-        inputs,
-        None if optimum is None else (optimum.time, optimum.modified_input),
-    )
 
 
 def _against_optimum(
@@ -119,20 +185,15 @@ def _against_optimum(
     """Draw columns over time: the transient on the left, the whole run on the right."""
     figure = Figure(figsize=(9.0, 4.5))
     early, whole = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
+    circles: dict[str, Any] = {"marker": "o", "linestyle": "none", "markerfacecolor": "none"}
     for column, label in enumerate(labels):
         for axes in (early, whole):
             axes.plot(time, values[:, column], color=COLORS[column], label=label)
         if optimum is not None:
-            early.plot(
-                optimum[0],
-                optimum[1][:, column],
-                "o",
-                markerfacecolor="none",
-                color=COLORS[column],
-            )
+            early.plot(optimum[0], optimum[1][:, column], color=COLORS[column], **circles)
     if optimum is not None:
-        early.plot([], [], "o", markerfacecolor="none", color="0.3", label="offline optimum")
-    early.set_xlim(0.0, min(15.0, float(time[-1])))
+        early.plot([], [], color="0.3", label="offline optimum", **circles)
+    early.set_xlim(0.0, min(_TRANSIENT, float(time[-1])))
     early.set_title(title)
     early.legend()
     whole.set_title("whole run (logarithmic beyond ±0.001)")
@@ -144,21 +205,20 @@ def _against_optimum(
     return figure
 
 
-def _weights(run: Run, start: int) -> Figure:
+def _weights(view: RunView) -> Figure:
     figure = Figure(figsize=(9.0, 4.5))
     pair = figure.subplots(1, 2, sharey=True)
-    for axes, name in zip(pair, ("critic_weights", "actor_weights"), strict=True):
-        series = run.series.get(name, Series(np.zeros(0, dtype=np.int64), np.zeros((0, 0))))
-        time = (series.stamp - start) * 1e-9
-        for column in range(series.values.shape[1]):
+    both = {"Critic weights": view.critic_weights, "Actor weights": view.actor_weights}
+    for axes, (title, weights) in zip(pair, both.items(), strict=True):
+        for column, label in enumerate(view.labels):
             axes.plot(
-                time,
-                series.values[:, column],
+                view.weight_time,
+                weights[:, column],
                 color=COLORS[column % len(COLORS)],
                 linestyle="-" if column < len(COLORS) else "--",
-                label=series.labels[column],
+                label=label,
             )
-        axes.set_title(name.replace("_", " ").capitalize())
+        axes.set_title(title)
         axes.set_xlabel("time [s]")
     pair[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="term of σ")
     figure.tight_layout()

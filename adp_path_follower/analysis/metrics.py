@@ -23,14 +23,15 @@ _SETTLED = 0.02  # of the initial error
 
 
 @dataclass(frozen=True)
-class PaperOptimum:
-    """The offline optimum from the paper's start.
+class ReferenceMotion:
+    """An optimal motion that a run is compared with.
 
     Attributes:
         cost: J*.
         time: Shape (N,) [s].
         error: e = [s, y, theta], shape (N, 3).
         modified_input: u = [v_e, w_e], shape (N, 2).
+        position: x, y in the world [m], shape (N, 2), where it is known.
 
     """
 
@@ -38,13 +39,14 @@ class PaperOptimum:
     time: FloatArray
     error: FloatArray
     modified_input: FloatArray
+    position: FloatArray | None = None
 
 
-def paper_optimum() -> PaperOptimum:
-    """Return the optimum that comes with the package."""
+def paper_optimum() -> ReferenceMotion:
+    """Return the optimum from the paper's start, which comes with the package."""
     file = importlib.resources.files("adp_path_follower") / "data" / "paper_optimum.json"
     content = json.loads(file.read_text(encoding="utf-8"))
-    return PaperOptimum(
+    return ReferenceMotion(
         cost=float(content["cost"]),
         time=np.array(content["t"]),
         error=np.array(content["e"]),

@@ -12,8 +12,14 @@ from typing import Any
 import click
 import numpy as np
 
-from adp_path_follower.cli.options import FILE, path_option, settings_options, write_json
-from adp_path_follower.core.errors import AdpError, FileError
+from adp_path_follower.cli.options import (
+    FILE,
+    new_directory,
+    path_option,
+    settings_options,
+    write_json,
+)
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path import Path as FollowedPath
 from adp_path_follower.core.path_library import named_path
@@ -64,7 +70,9 @@ def demo(
     )
     path = named_path(path_name)
     _require_ros()
-    directory = _new_directory(directory)
+    directory = new_directory(
+        directory or Path(datetime.now().strftime("adp_demo_%Y_%m_%d-%H_%M_%S"))
+    )
     started = time.monotonic()
     bag = _run(settings, path, path_name, duration, directory)
     _report(bag, directory, duration, time.monotonic() - started)
@@ -78,26 +86,6 @@ def _require_ros() -> None:
             "ROS 2 is missing: source a Jazzy installation, or install its wheels with: "
             "pip install 'adp_path_follower[jazzy]'"
         ) from None
-
-
-def _new_directory(directory: Path | None) -> Path:
-    """Return the output directory, made if needed.
-
-    Raises:
-        FileError: It holds files already, or cannot be made.
-
-    """
-    if directory is None:
-        directory = Path(datetime.now().strftime("adp_demo_%Y_%m_%d-%H_%M_%S"))
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        if any(directory.iterdir()):
-            raise FileError(f"output {directory} holds files already: give a new directory")
-    except FileExistsError:
-        raise FileError(f"output {directory} is a file: give a directory") from None
-    except PermissionError:
-        raise FileError(f"output {directory} cannot be made: permission denied") from None
-    return directory
 
 
 def _run(
@@ -144,7 +132,7 @@ def _run(
 
 def _report(bag: Path, directory: Path, duration: float, wall_time: float) -> None:
     """Draw, measure, write and print what happened."""
-    from adp_path_follower.analysis.figures import draw_figures
+    from adp_path_follower.analysis.figures import draw_figures, view_of_replay
     from adp_path_follower.analysis.metrics import measure, paper_optimum
     from adp_path_follower.bags.reader import read_run
     from adp_path_follower.bags.replay import replay
@@ -155,7 +143,8 @@ def _report(bag: Path, directory: Path, duration: float, wall_time: float) -> No
     replayed = replay(run)
     metrics = measure(run, replayed)
     known = math.isfinite(metrics.optimal_cost)
-    figures = draw_figures(run, replayed, directory / "figures", paper_optimum() if known else None)
+    view = view_of_replay(run, replayed)
+    figures = draw_figures(view, directory / "figures", paper_optimum() if known else None)
     summary = {**dataclasses.asdict(metrics), "cost_ratio": metrics.cost_ratio}
     summary |= {"wall_time": wall_time, "real_time_factor": duration / wall_time}
     write_json(directory / "summary.json", summary)

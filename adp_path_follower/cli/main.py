@@ -14,6 +14,7 @@ from adp_path_follower.threads import use_one_blas_thread
 _COMMANDS = {
     "demo": "Drive the paper's figure eight with real ROS 2 nodes.",
     "optimum": "Find what the best controller would cost, by offline optimal control.",
+    "paper": "Reproduce the paper's figures, and what they do not show.",
     "parameters": "Show the parameters, as a YAML file or as a table.",
     "simulate": "Simulate the closed loop without ROS, from one or many starts.",
 }

@@ -79,7 +79,7 @@ def optimum(
     Exit code 1 if any start has no converged optimum; it is named, the others are still written.
     """
     from adp_path_follower.optimum.collocation import OptimumSolver
-    from adp_path_follower.optimum.costate import costate_cost
+    from adp_path_follower.optimum.costate import solve_costates
     from adp_path_follower.optimum.problem import OptimumError
 
     settings = load_settings(
@@ -97,7 +97,7 @@ def optimum(
             found, check_cost, problem = None, None, ""
             try:
                 found = solver.solve(start)
-                check_cost = costate_cost(solver.problem, found.motion) if check else None
+                check_cost = solve_costates(solver.problem, found.motion).cost if check else None
             except OptimumError as error:
                 problem = str(error)
             rows.append(_Row(start, found, check_cost, problem))

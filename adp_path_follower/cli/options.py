@@ -127,6 +127,24 @@ def check_writable(*files: Path | None) -> None:
             raise FileError(f"output {file} cannot be written: permission denied")
 
 
+def new_directory(directory: Path) -> Path:
+    """Return an output directory, made if needed.
+
+    Raises:
+        FileError: It holds files already, or cannot be made.
+
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if any(directory.iterdir()):
+            raise FileError(f"output {directory} holds files already: give a new directory")
+    except (FileExistsError, NotADirectoryError):
+        raise FileError(f"output {directory} is a file: give a directory") from None
+    except PermissionError:
+        raise FileError(f"output {directory} cannot be made: permission denied") from None
+    return directory
+
+
 def write_json(file: Path, content: object) -> None:
     """Write JSON with null for numbers that are not finite, which JSON does not know."""
     text = json.dumps(_finite(content), indent=2, allow_nan=False)

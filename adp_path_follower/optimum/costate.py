@@ -8,6 +8,8 @@ itself; nothing is shared with the transcription but the guess.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.integrate import solve_bvp
 
@@ -18,8 +20,22 @@ from adp_path_follower.optimum.problem import Motion, OptimumError, Problem
 _CURVATURE_STEP = 1e-4  # [m] of the central difference that gives the change of curvature
 
 
-def costate_cost(problem: Problem, motion: Motion) -> float:
-    """Return J of the extremal near a motion.
+@dataclass(frozen=True)
+class Extremal:
+    """A solution of the necessary conditions.
+
+    Attributes:
+        cost: J.
+        costates: Of s, y, theta, s_p at the start, shape (4,): the gradient of the value there.
+
+    """
+
+    cost: float
+    costates: FloatArray
+
+
+def solve_costates(problem: Problem, motion: Motion) -> Extremal:
+    """Return the extremal near a motion.
 
     Args:
         problem: The problem.
@@ -43,7 +59,7 @@ def costate_cost(problem: Problem, motion: Motion) -> float:
     )
     if not result.success:
         raise OptimumError(f"the costate problem was not solved: {result.message}")
-    return float(result.y[8, -1])
+    return Extremal(float(result.y[8, -1]), result.y[4:8, 0])
 
 
 def _rates(problem: Problem, values: FloatArray) -> FloatArray:

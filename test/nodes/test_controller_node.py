@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
+import subprocess
+import sys
 
 import pytest
 from conftest import Drive, Peer, is_zero
@@ -229,16 +232,18 @@ def test_lifecycle_without_autostart(peer, start):
     assert all(map(is_zero, commands[-3:]))
 
 
-def test_the_end_of_an_open_path_is_a_goal(peer, start, tmp_path):
+@pytest.mark.parametrize("stamped", [True, False])
+def test_the_end_of_an_open_path_is_a_goal(peer, start, tmp_path, stamped):
     file = tmp_path / "short.csv"
     file.write_text("x,y\n0,0\n0.3,0\n0.6,0\n")
-    commands = peer.listen(TwistStamped, "cmd_vel")
-    node = start("controller")
+    commands = peer.listen(TwistStamped if stamped else Twist, "cmd_vel")
+    node = start("controller", enable_stamped_cmd_vel=stamped)
     start("sim_unicycle")
     start("path_publisher", path=str(file))
     peer.until(lambda: "goal reached" in node.output(), "the goal")
     peer.spin(0.3)
-    assert all(map(is_zero, commands[-3:]))
+    last = [command.twist if stamped else command for command in commands[-3:]]
+    assert all(twist.linear.x == twist.angular.z == 0.0 for twist in last)
 
 
 def test_descriptors_come_from_the_settings():
@@ -248,3 +253,46 @@ def test_descriptors_come_from_the_settings():
         assert described.read_only == bool(field.spec.read_only)
         if field.kind is float and field.spec.high < math.inf:
             assert described.floating_point_range[0].to_value == field.spec.high
+
+
+BROKEN_CONTROLLER = """
+import sys
+from adp_path_follower.nodes import controller
+
+step_at, steps = controller.PathFollower.step_at, []
+
+def failing(self, pose, time):
+    steps.append(time)
+    if len(steps) > 50:
+        raise RuntimeError("a defect")
+    return step_at(self, pose, time)
+
+controller.PathFollower.step_at = failing
+sys.exit(controller.main())
+"""
+
+
+def test_an_exception_in_a_callback_stops_the_robot_first(peer, domain, tmp_path):
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    log = (tmp_path / "broken.log").open("w+")
+    with subprocess.Popen(
+        [sys.executable, "-c", BROKEN_CONTROLLER],
+        env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+        stdout=log,
+        stderr=subprocess.STDOUT,
+    ) as process:
+        try:
+            peer.until_matched(peer.odometry, peer.path)
+            peer.send_path()
+            peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+            peer.until(lambda: process.poll() is not None, "the end of the node")
+        finally:
+            process.kill()
+    peer.spin(0.5)
+    log.seek(0)
+    text = log.read()
+    assert process.returncode == 1
+    assert "unexpected error, stopping: RuntimeError: a defect" in text
+    assert "Traceback" not in text
+    assert any(not is_zero(command) for command in commands)
+    assert all(map(is_zero, commands[-3:]))

@@ -1,0 +1,228 @@
+"""The paper's simulation, beside the optimum that it compares with by eye.
+
+Two questions are answered with numbers: how near do the printed laws come to the optimum, and do
+the printed constants meet the conditions of the paper's own stability theorem?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.analysis.metrics import ReferenceMotion
+from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.bellman import SampledModel, excitation
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame
+from adp_path_follower.core.parameter_file import load_settings
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.schema import update
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.optimum.collocation import OptimumSolver
+from adp_path_follower.optimum.costate import solve_costates
+from adp_path_follower.shared_files import config_file
+from adp_path_follower.simulation import PAPER_START, Trajectories, simulate
+
+DURATION = 40.0  # [s] of the comparison
+LONG_DURATION = 600.0  # [s] after which the unlearning shows
+GRIDS: tuple[tuple[float, float, float, float], ...] = (
+    (1.0, 1.0, 1.0, 0.5),
+    (0.5, 0.5, 0.5, 0.5),
+    (0.3, 0.3, 0.3, 0.3),
+)
+
+_RATE = 100.0  # [Hz]
+_LONG_RATE = 50.0  # [Hz]
+_VISITED = np.concatenate([np.arange(0.0, 4.0, 0.25), np.arange(4.0, 12.5, 1.0)])  # [s]
+
+
+@dataclass(frozen=True)
+class PaperRun:
+    """The printed laws with one choice of what the paper leaves open.
+
+    Attributes:
+        name: The choice, in words.
+        settings: What it was run with.
+        cost: J over 40 s.
+        state_distance: RMS distance of e to the optimum's over 40 s.
+        input_distance: RMS distance of u to the optimum's over 40 s.
+        trajectories: The run.
+
+    """
+
+    name: str
+    settings: Settings
+    cost: float
+    state_distance: float
+    input_distance: float
+    trajectories: Trajectories
+
+
+@dataclass(frozen=True)
+class Theorem:
+    """The quantities of the paper's stability theorem along a run.
+
+    Attributes:
+        time: Times at which the value function was evaluated [s], shape (M,).
+        value: V* at the states visited then, shape (M,).
+        residual: Norm of eps' = dV*/dzeta - sigma'^T W* there, shape (M,).
+        ideal_weights: W*, the weights that fit dV*/dzeta best on the visited states, shape (L,).
+        lyapunov: V* + |W* - Wc|^2 / 2 + |W* - Wa|^2 / 2, shape (M,).
+        drift_bound: L_f, the largest |f(zeta)| / |zeta| over the visited states.
+        excitation_time: Shape (T,) [s].
+        excitation: Smallest singular value of the rank condition's matrix, shape (T,).
+        excitation_needed: What the second gain condition asks of it.
+        cost_needed: What the first gain condition asks of the least eigenvalue of Q.
+        least_state_cost: That eigenvalue, q_min.
+
+    """
+
+    time: FloatArray
+    value: FloatArray
+    residual: FloatArray
+    ideal_weights: FloatArray
+    lyapunov: FloatArray
+    drift_bound: float
+    excitation_time: FloatArray
+    excitation: FloatArray
+    excitation_needed: float
+    cost_needed: float
+    least_state_cost: float
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that `reproduce` finds."""
+
+    path: Path
+    optimum: ReferenceMotion
+    runs: tuple[PaperRun, ...]
+    long_runs: tuple[PaperRun, ...]
+    theorem: Theorem
+
+
+def reproduce(
+    progress: Callable[[float], None], long_duration: float = LONG_DURATION
+) -> Reproduction:
+    """Run the paper's simulation with each grid, find the optimum, and evaluate the theorem.
+
+    Args:
+        progress: Called with the fraction that is done.
+        long_duration: How long [s] the printed laws are let run for what they unlearn.
+
+    """
+    printed = load_settings(Settings, "path_follower", config_file("paper.yaml"))
+    path = lissajous()
+    solver = OptimumSolver(printed, path, horizon=DURATION)
+    optimum = _reference(solver, path)
+    choices: list[tuple[str, Settings, str]] = [("initial weights, no learning", printed, "frozen")]
+    for grid in GRIDS:
+        name = f"grid {', '.join(f'{width:g}' for width in grid)}"
+        choices.append((name, update(printed, {"sample_half_widths": grid}), "cold"))
+    runs, long_runs = [], []
+    for index, (name, settings, learning) in enumerate(choices):
+        runs.append(_run(name, settings, path, learning, DURATION, _RATE, optimum))
+        if learning == "cold":
+            long = _run(name, settings, path, learning, long_duration, _LONG_RATE, optimum)
+            long_runs.append(long)
+        progress((index + 1) / (len(choices) + 1))
+    shipped = next(run for run in runs[1:] if run.settings == printed)
+    return Reproduction(path, optimum, tuple(runs), tuple(long_runs), _theorem(shipped, path))
+
+
+def _reference(solver: OptimumSolver, path: Path) -> ReferenceMotion:
+    found = solver.solve(np.array(PAPER_START))
+    error = found.motion.state[:, :3]
+    frame = path.frame(found.motion.state[:, 3])
+    return ReferenceMotion(
+        cost=found.cost,
+        time=found.motion.time,
+        error=error,
+        modified_input=found.motion.modified_input,
+        position=pose_in_frame(error, frame.pose)[:, :2],
+    )
+
+
+def _run(
+    name: str,
+    settings: Settings,
+    path: Path,
+    learning: str,
+    duration: float,
+    rate: float,
+    optimum: ReferenceMotion,
+) -> PaperRun:
+    result = simulate(settings, path, duration=duration, rate=rate, learning=learning, record=True)
+    assert result.trajectories is not None  # record=True
+    found = result.trajectories
+    compared = found.time <= DURATION
+
+    def distance(values: FloatArray, reference: FloatArray) -> float:
+        columns = [np.interp(found.time[compared], optimum.time, column) for column in reference.T]
+        apart = values[0, compared] - np.stack(columns, axis=1)
+        return float(np.sqrt((apart**2).sum(axis=1).mean()))
+
+    return PaperRun(
+        name=name,
+        settings=settings,
+        cost=float(result.cost[0]),
+        state_distance=distance(found.error, optimum.error),
+        input_distance=distance(found.modified_input, optimum.modified_input),
+        trajectories=found,
+    )
+
+
+def _theorem(run: PaperRun, path: Path) -> Theorem:
+    """Evaluate the theorem's quantities along a run.
+
+    The value function and its gradient at a visited state are the cost and the costates of the
+    optimal motion that starts there.
+    """
+    settings, found = run.settings, run.trajectories
+    target, learning = settings.target, settings.learning
+    steps = np.searchsorted(found.time, _VISITED - 1e-9)
+    value, gradient = [], []
+    for step in steps:
+        place = float(found.arc_length[0, step])
+        local = OptimumSolver(settings, path, place)
+        optimum = local.solve(found.error[0, step])
+        extremal = solve_costates(local.problem, optimum.motion)
+        value.append(extremal.cost)
+        phi = error_dynamics.path_state(np.array(place), target)
+        by_phi = extremal.costates[3] / (target.path_state_gain * (1.0 - phi**2))
+        gradient.append(np.append(extremal.costates[:3], by_phi))
+    arc_length = found.arc_length[0, steps]
+    phi = error_dynamics.path_state(arc_length, target)
+    zeta = np.column_stack([found.error[0, steps], phi])
+    basis = learning.value_basis.gradient(zeta)  # (M, L, 4)
+    count, size, _ = basis.shape
+    system = basis.transpose(0, 2, 1).reshape(4 * count, size)
+    ideal, *_ = np.linalg.lstsq(system, np.array(gradient).ravel(), rcond=None)
+    residual = np.array(gradient) - np.einsum("mlz,l->mz", basis, ideal)
+    residual_norm = np.linalg.norm(residual, axis=1)
+    drift = error_dynamics.drift(zeta, path.curvature(arc_length), target)
+    drift_bound = float(
+        (np.linalg.norm(drift[1:], axis=1) / np.linalg.norm(zeta[1:], axis=1)).max()
+    )
+    critic = found.critic_weights[0]
+    actor = found.actor_weights[0]
+    apart = ((ideal - critic[steps]) ** 2).sum(axis=1) + ((ideal - actor[steps]) ** 2).sum(axis=1)
+    model = SampledModel(settings, path)
+    every = slice(None, None, 10)
+    measured = learning.critic_gain_measured * float(residual_norm.max()) * drift_bound
+    ratio = len(model) / (2.0 * learning.critic_gain_sampled)
+    return Theorem(
+        time=_VISITED,
+        value=np.array(value),
+        residual=residual_norm,
+        ideal_weights=ideal,
+        lyapunov=np.array(value) + 0.5 * apart,
+        drift_bound=drift_bound,
+        excitation_time=found.time[every],
+        excitation=excitation(model.sweep(critic[every], actor[every]).information),
+        excitation_needed=ratio * (learning.actor_gain + measured),
+        cost_needed=0.5 * measured,
+        least_state_cost=float(np.linalg.eigvalsh(settings.cost.state_cost_matrix())[0]),
+    )
