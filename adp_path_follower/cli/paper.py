@@ -87,11 +87,9 @@ def paper(directory: Path | None) -> None:
     click.echo("after 600 s:")
     for run in found.long_runs:
         weights = run.trajectories.actor_weights[0, -1]
-        lateral = [f"{label} {weights[labels.index(label)]:+.3f}" for label in ("y θ", "y²")]
+        lateral = ", ".join(f"{name} {weights[labels.index(name)]:+.3f}" for name in ("y θ", "y²"))
         final = run.trajectories.error[0, -1, 1]
-        click.echo(
-            f"  {run.name:<30}J {run.cost:8.3f}   y {final:+.3f} m   weights of {', '.join(lateral)}"
-        )
+        click.echo(f"  {run.name:<30}J {run.cost:8.3f}   y {final:+.3f} m   weights of {lateral}")
     click.echo("the theorem's sufficient conditions, with the printed constants:")
     for name in ("q_min", "c_min"):
         verdict = "holds" if conditions[name] > conditions[f"{name}_needed"] else "does not hold"
