@@ -74,7 +74,10 @@ def replay(run: Run) -> Replay:
     odometry, commands = odometry[in_odometry], commands[in_commands]
     at_beginning = settings.controller.path_start == "beginning"
     follower = PathFollower(settings, path, 0.0 if at_beginning else path.nearest(odometry[0, :3]))
-    outputs = [
-        follower.step_at(row[:3], int(stamp)) for row, stamp in zip(odometry, steps, strict=True)
-    ]
-    return Replay(follower, steps, odometry, commands, outputs)
+    outputs = []
+    for row, stamp in zip(odometry, steps, strict=True):
+        outputs.append(follower.step_at(row[:3], int(stamp)))
+        if not path.closed and float(follower.arc_length) >= path.length:
+            break  # the goal: from here on the node commands zero velocity
+    count = len(outputs)
+    return Replay(follower, steps[:count], odometry[:count], commands[:count], outputs)

@@ -20,8 +20,10 @@ from adp_path_follower.nodes.processes import NodeProcess, own_domain
 
 _READY_TIMEOUT = 60.0  # [s] for a slow machine to import rclpy four times
 _STALL_TIMEOUT = 30.0  # [s] without any step
+_GOAL_TIMEOUT = 1.0  # [s] without any step after the goal
 # Lock-step waits for the machine, so wall time says nothing about the odometry.
 _LOCKSTEP = {"control_trigger": "odometry", "path_start": "beginning", "odom_timeout": 30.0}
+_SIM_TIME = {"use_sim_time": True}
 
 
 @dataclass(frozen=True)
@@ -70,16 +72,14 @@ def run_closed_loop(
     x, y, theta = pose_in_frame(start, path.frame(0.0).pose).tolist()
     with own_domain() as domain:
         nodes: list[NodeProcess] = []
-        started: list[NodeProcess] = []
 
         def launch(executable: str, parameters: dict[str, Any]) -> NodeProcess:
             log = logs / f"{executable}.log"
             nodes.append(NodeProcess(executable, parameters, log=log, domain=domain))
-            started.append(nodes[-1])
             return nodes[-1]
 
         try:
-            launch("controller", {**flatten(settings), **_LOCKSTEP, **_SIM_TIME})
+            controller = launch("controller", {**flatten(settings), **_LOCKSTEP, **_SIM_TIME})
             recorder = launch("recorder", {"output": str(bag), **_SIM_TIME})
             simulator = launch(
                 "sim_unicycle",
@@ -89,20 +89,17 @@ def run_closed_loop(
             # it is heard itself, and the configuration after it, perhaps only when all is over.
             _wait(nodes, recorder, ("/odom", "/cmd_vel"), lambda: report(None))
             launch("path_publisher", {"path": path_name})
-            _Monitor(domain).watch(simulator, nodes, report)
-            nodes.remove(simulator)
+            _Monitor(domain).watch(simulator, controller, nodes, report)
             rest = ("/path", "/path_follower/configuration", "/path_follower/tracking_error")
-            _wait(nodes, recorder, rest, lambda: None)
+            others = [node for node in nodes if node is not simulator]
+            _wait(others, recorder, rest, lambda: None)
         finally:
             # The recorder last: it must hear the others' last words.
-            for node in sorted(started, key=lambda node: node.name == "recorder"):
+            for node in sorted(nodes, key=lambda node: node.name == "recorder"):
                 node.stop()
     if recorder.process.returncode != 0:
         raise AdpError(f"the recorder failed: {recorder.last_line()}")
     return bag
-
-
-_SIM_TIME = {"use_sim_time": True}
 
 
 def _wait(
@@ -145,10 +142,16 @@ class _Monitor:
     def watch(
         self,
         simulator: NodeProcess,
+        controller: NodeProcess,
         nodes: list[NodeProcess],
         report: Callable[[Progress | None], None],
     ) -> None:
-        """Report until the simulator ends; raise if another node does, or nothing happens."""
+        """Report until the simulator ends, or the robot is at the goal.
+
+        Raises:
+            AdpError: Another node ended, or nothing happens any more.
+
+        """
         import rclpy  # here, so that `adp` works without ROS
         from geometry_msgs.msg import PoseStamped, Vector3Stamped
         from rclpy.qos import qos_profile_sensor_data as newest
@@ -170,7 +173,10 @@ class _Monitor:
                 for other in nodes:
                     if other is not simulator and other.process.poll() is not None:
                         raise AdpError(f"{other.name} ended early: {other.last_line()}")
-                if time.monotonic() - seen_at > _STALL_TIMEOUT:
+                quiet = time.monotonic() - seen_at
+                if quiet > _GOAL_TIMEOUT and "goal reached" in controller.output():
+                    simulator.stop()  # lock-step would wait for commands that never come
+                if quiet > _STALL_TIMEOUT:
                     raise AdpError(
                         f"the run stands still; the nodes' logs are in {simulator.log.parent}"
                     )

@@ -197,6 +197,23 @@ def test_other_nodes_refuse_bad_settings_in_one_sentence(start, executable, para
     assert len(node.output().strip().splitlines()) == 1
 
 
+def test_the_command_ends_at_the_goal(tmp_path):
+    (tmp_path / "short.csv").write_text("x,y\n0,0\n1,0.1\n2,0\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "adp_path_follower.cli.main", "demo", "--path", "short.csv"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    (summary,) = tmp_path.glob("adp_demo_*/summary.json")
+    content = json.loads(summary.read_text())
+    # 2 m at 0.5 m/s, and 0.5 m that the robot starts behind.
+    assert 3.5 < content["duration"] < 8.0
+    assert content["commands"] == content["identical_commands"] > 300
+
+
 def test_the_command_replays_whatever_threads_the_user_allows(tmp_path):
     """More BLAS threads would change the last bits: the executables decide for themselves."""
     done = subprocess.run(
