@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from conftest import Drive, Peer, is_zero
@@ -60,10 +62,19 @@ def test_says_stop_three_times_before_it_goes(drive, number):
     assert all(map(is_zero, last))
 
 
+def _takes_signals(process_id: int) -> bool:
+    """Return whether a process has a handler for SIGTERM: Python itself has none."""
+    status = Path(f"/proc/{process_id}/status").read_text()
+    caught = int(re.search(r"^SigCgt:\s*(\w+)$", status, re.M).group(1), 16)
+    return bool(caught >> (signal.SIGTERM - 1) & 1)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("delay", [0.05, 0.3, 0.7])
+@pytest.mark.parametrize("delay", [0.0, 0.2, 0.5])
 def test_a_signal_while_starting_leaves_no_traceback(start, peer, number, delay):
+    # Before that, while Python starts itself, no program has a say in what is printed.
     node = start("controller")
+    peer.until(lambda: _takes_signals(node.process.pid), "the handlers")
     peer.spin(delay)
     node.stop(number)
     assert "Traceback" not in node.output()
