@@ -59,14 +59,18 @@ def view_of_replay(run: Run, replay: Replay) -> RunView:
     critic = run.series.get("critic_weights", nothing)
     actor = run.series.get("actor_weights", nothing)
     count = min(len(critic.stamp), len(actor.stamp))
+    time = (replay.stamp - start) * 1e-9
+    # Weights carry no stamp. With one message for each step they belong to the steps in order;
+    # else the time of their arrival, which lags, must do.
+    every_step = count == len(time)
     return RunView(
-        time=(replay.stamp - start) * 1e-9,
+        time=time,
         path=replay.follower.path.points(0.05)[:, :2],
         track=replay.odometry[:, :3],
         target=np.array([output.target_pose[:2] for output in replay.outputs]),
         error=np.array([output.error for output in replay.outputs]),
         modified_input=np.array([output.modified_input for output in replay.outputs]),
-        weight_time=(critic.stamp[:count] - start) * 1e-9,
+        weight_time=time if every_step else (critic.stamp[:count] - start) * 1e-9,
         critic_weights=critic.values[:count],
         actor_weights=actor.values[:count],
         labels=critic.labels,
