@@ -94,11 +94,22 @@ class Theorem:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything that `reproduce` finds."""
+    """Everything that `reproduce` finds.
+
+    Attributes:
+        path: The paper's figure eight.
+        optimum: The offline optimum.
+        runs: The initial weights without learning, then each grid.
+        shipped: The one of them with the grid of config/paper.yaml.
+        long_runs: Each grid, for long.
+        theorem: The theorem's quantities along the shipped run.
+
+    """
 
     path: Path
     optimum: ReferenceMotion
     runs: tuple[PaperRun, ...]
+    shipped: PaperRun
     long_runs: tuple[PaperRun, ...]
     theorem: Theorem
 
@@ -129,7 +140,14 @@ def reproduce(
             long_runs.append(long)
         progress((index + 1) / (len(choices) + 1))
     shipped = next(run for run in runs[1:] if run.settings == printed)
-    return Reproduction(path, optimum, tuple(runs), tuple(long_runs), _theorem(shipped, path))
+    return Reproduction(
+        path=path,
+        optimum=optimum,
+        runs=tuple(runs),
+        shipped=shipped,
+        long_runs=tuple(long_runs),
+        theorem=_theorem(shipped, path),
+    )
 
 
 def _reference(solver: OptimumSolver, path: Path) -> ReferenceMotion:

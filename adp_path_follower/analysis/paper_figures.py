@@ -15,9 +15,8 @@ from adp_path_follower.paper import PaperRun, Reproduction, Theorem
 
 def draw_paper(found: Reproduction, directory: Path) -> list[Path]:
     """Draw figures 2 to 5 of the shipped grid, the long run and the theorem; return the files."""
-    shipped = next(run for run in found.runs[1:] if "0.5, 0.5, 0.5, 0.5" in run.name)
-    labels = shipped.settings.learning.value_basis.labels
-    view = view_of_simulation(shipped.trajectories, 0, found.path, labels)
+    labels = found.shipped.settings.learning.value_basis.labels
+    view = view_of_simulation(found.shipped.trajectories, 0, found.path, labels)
     files = draw_figures(view, directory, found.optimum)
     drawings = {
         "long_run.png": lambda: _long_run(found.long_runs, labels),

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from adp_path_follower.cli.options import FILE, new_directory, progress_bar, write_json
+
+if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
+    from adp_path_follower.paper import Reproduction
 
 
 @click.command()
@@ -37,63 +41,71 @@ def paper(directory: Path | None) -> None:
     from adp_path_follower.analysis.paper_figures import draw_paper
 
     draw_paper(found, directory)
-    theorem = found.theorem
-    rows = [
-        {
-            "name": run.name,
-            "cost": run.cost,
-            "cost_ratio": run.cost / found.optimum.cost,
-            "state_distance": run.state_distance,
-            "input_distance": run.input_distance,
-        }
-        for run in found.runs
-    ]
-    labels = found.runs[0].settings.learning.value_basis.labels
-    long_rows = [
-        {
-            "name": run.name,
-            "cost": run.cost,
-            "final_y": float(run.trajectories.error[0, -1, 1]),
-            "final_actor_weights": run.trajectories.actor_weights[0, -1].tolist(),
-        }
-        for run in found.long_runs
-    ]
-    conditions = {
-        "q_min": theorem.least_state_cost,
-        "q_min_needed": theorem.cost_needed,
-        "c_min": float(theorem.excitation.min()),
-        "c_min_needed": theorem.excitation_needed,
-        "residual_max": float(theorem.residual.max()),
-        "drift_bound": theorem.drift_bound,
-        "ideal_weights": theorem.ideal_weights.tolist(),
-    }
-    write_json(
-        directory / "paper.json",
-        {
-            "optimal_cost": found.optimum.cost,
-            "basis": list(labels),
-            "runs": rows,
-            "long_runs": long_rows,
-            "theorem": conditions,
-        },
-    )
-    click.echo(f"optimum J* = {found.optimum.cost:.6f}; 40 s from the paper's start:")
-    click.echo(f"  {'':<30}{'J':>10}{'J/J*':>9}{'RMS e':>9}{'RMS u':>9}")
-    for row, run in zip(rows, found.runs, strict=True):
-        click.echo(
-            f"  {run.name:<30}{run.cost:10.4f}{row['cost_ratio']:9.4f}"
-            f"{run.state_distance:9.4f}{run.input_distance:9.4f}"
-        )
-    click.echo("after 600 s:")
-    for run in found.long_runs:
-        weights = run.trajectories.actor_weights[0, -1]
-        lateral = ", ".join(f"{name} {weights[labels.index(name)]:+.3f}" for name in ("y θ", "y²"))
-        final = run.trajectories.error[0, -1, 1]
-        click.echo(f"  {run.name:<30}J {run.cost:8.3f}   y {final:+.3f} m   weights of {lateral}")
-    click.echo("the theorem's sufficient conditions, with the printed constants:")
-    for name in ("q_min", "c_min"):
-        verdict = "holds" if conditions[name] > conditions[f"{name}_needed"] else "does not hold"
-        click.echo(
-            f"  {name} = {conditions[name]:.4g} > {conditions[f'{name}_needed']:.4g}: {verdict}"
-        )
+    numbers = _numbers(found)
+    write_json(directory / "paper.json", numbers)
+    click.echo(_text(numbers))
     click.echo(f"\nIn {directory}: the figures and paper.json")
+
+
+def _numbers(found: Reproduction) -> dict[str, Any]:
+    """Return what paper.json holds."""
+    theorem = found.theorem
+    return {
+        "optimal_cost": found.optimum.cost,
+        "basis": list(found.shipped.settings.learning.value_basis.labels),
+        "runs": [
+            {
+                "name": run.name,
+                "cost": run.cost,
+                "cost_ratio": run.cost / found.optimum.cost,
+                "state_distance": run.state_distance,
+                "input_distance": run.input_distance,
+            }
+            for run in found.runs
+        ],
+        "long_runs": [
+            {
+                "name": run.name,
+                "cost": run.cost,
+                "final_y": float(run.trajectories.error[0, -1, 1]),
+                "final_actor_weights": run.trajectories.actor_weights[0, -1].tolist(),
+            }
+            for run in found.long_runs
+        ],
+        "theorem": {
+            "q_min": theorem.least_state_cost,
+            "q_min_needed": theorem.cost_needed,
+            "c_min": float(theorem.excitation.min()),
+            "c_min_needed": theorem.excitation_needed,
+            "residual_max": float(theorem.residual.max()),
+            "drift_bound": theorem.drift_bound,
+            "ideal_weights": theorem.ideal_weights.tolist(),
+        },
+    }
+
+
+def _text(numbers: dict[str, Any]) -> str:
+    """Return the numbers as people read them."""
+    lines = [
+        f"optimum J* = {numbers['optimal_cost']:.6f}; 40 s from the paper's start:",
+        f"  {'':<30}{'J':>10}{'J/J*':>9}{'RMS e':>9}{'RMS u':>9}",
+    ]
+    lines += [
+        f"  {run['name']:<30}{run['cost']:10.4f}{run['cost_ratio']:9.4f}"
+        f"{run['state_distance']:9.4f}{run['input_distance']:9.4f}"
+        for run in numbers["runs"]
+    ]
+    lines.append("after 600 s:")
+    for run in numbers["long_runs"]:
+        weights = dict(zip(numbers["basis"], run["final_actor_weights"], strict=True))
+        lateral = ", ".join(f"{name} {weights[name]:+.3f}" for name in ("y θ", "y²"))
+        lines.append(
+            f"  {run['name']:<30}J {run['cost']:8.3f}   y {run['final_y']:+.3f} m   "
+            f"weights of {lateral}"
+        )
+    lines.append("the theorem's sufficient conditions, with the printed constants:")
+    for name in ("q_min", "c_min"):
+        value, needed = numbers["theorem"][name], numbers["theorem"][f"{name}_needed"]
+        verdict = "holds" if value > needed else "does not hold"
+        lines.append(f"  {name} = {value:.4g} > {needed:.4g}: {verdict}")
+    return "\n".join(lines)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import FloatArray, pose_in_frame
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame, yaw_of_quaternion
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.schema import flatten
 from adp_path_follower.core.settings import Settings
@@ -187,8 +187,6 @@ class _Monitor:
             raise AdpError(f"the simulator failed: {simulator.last_line()}")
 
     def _receive_target(self, message: Any) -> None:
-        from adp_path_follower.core.geometry import yaw_of_quaternion
-
         p, q = message.pose.position, message.pose.orientation
         self._target = np.array([p.x, p.y, yaw_of_quaternion(q.x, q.y, q.z, q.w)])
 

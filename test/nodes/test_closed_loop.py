@@ -197,18 +197,24 @@ def test_other_nodes_refuse_bad_settings_in_one_sentence(start, executable, para
     assert len(node.output().strip().splitlines()) == 1
 
 
-def test_the_command_ends_at_the_goal(tmp_path):
-    (tmp_path / "short.csv").write_text("x,y\n0,0\n1,0.1\n2,0\n")
+def _demo(folder: Path, *arguments: str, **environment: str) -> Path:
+    """Return the directory that `adp demo` leaves in a folder."""
     done = subprocess.run(
-        [sys.executable, "-m", "adp_path_follower.cli.main", "demo", "--path", "short.csv"],
-        cwd=tmp_path,
+        [sys.executable, "-m", "adp_path_follower.cli.main", "demo", *arguments],
+        env={**os.environ, **environment},
+        cwd=folder,
         capture_output=True,
         text=True,
         timeout=120,
     )
     assert done.returncode == 0, done.stderr
-    (summary,) = tmp_path.glob("adp_demo_*/summary.json")
-    content = json.loads(summary.read_text())
+    (directory,) = folder.glob("adp_demo_*")
+    return directory
+
+
+def test_the_command_ends_at_the_goal(tmp_path):
+    (tmp_path / "short.csv").write_text("x,y\n0,0\n1,0.1\n2,0\n")
+    content = json.loads((_demo(tmp_path, "--path", "short.csv") / "summary.json").read_text())
     # 2 m at 0.5 m/s, and 0.5 m that the robot starts behind.
     assert 3.5 < content["duration"] < 8.0
     assert content["commands"] == content["identical_commands"] > 300
@@ -216,19 +222,10 @@ def test_the_command_ends_at_the_goal(tmp_path):
 
 def test_the_command_replays_whatever_threads_the_user_allows(tmp_path):
     """More BLAS threads would change the last bits: the executables decide for themselves."""
-    done = subprocess.run(
-        [sys.executable, "-m", "adp_path_follower.cli.main", "demo", "--duration", "3"],
-        env={**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    (summary,) = tmp_path.glob("adp_demo_*/summary.json")
-    content = json.loads(summary.read_text())
+    directory = _demo(tmp_path, "--duration", "3", OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
+    content = json.loads((directory / "summary.json").read_text())
     assert content["commands"] == content["identical_commands"] == 301
     for name in ("2_path", "3_states", "4_controls", "5_weights"):
-        assert (summary.parent / "figures" / f"figure_{name}.png").stat().st_size > 10_000
-    report = (summary.parent / "report.md").read_text()
+        assert (directory / "figures" / f"figure_{name}.png").stat().st_size > 10_000
+    report = (directory / "report.md").read_text()
     assert "| commands repeated exactly | 301 of 301 |" in report
