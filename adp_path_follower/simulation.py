@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.controller import Controller, ControlOutput, RunningCost
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray, advance_pose, pose_in_frame
@@ -24,7 +26,11 @@ PAPER_START = (-0.5, 0.25, -math.pi / 6.0)
 LEARNING_MODES = ("cold", "warm", "frozen")
 SETTLED_ERROR = 0.05  # |e| below which a run counts as settled
 
+# Makes a controller for a batch of robots, of settings, path and each robot's arc length (B,) [m].
+ControllerFactory = Callable[[Settings, Path, FloatArray], Controller]
+
 _LONGEST_STEP = 0.01  # [s] of the cost's quadrature
+_WARM_MARGIN = 6.0  # [m] that a warm start learns beyond what v_des covers
 _LOST = 1e4  # |e| beyond which a run has failed and is frozen
 _BLOCK = 128  # starts at once: enough to hide Python's overhead, small enough for the caches
 
@@ -40,9 +46,9 @@ class Trajectories:
         arc_length: s_p [m], shape (B, T).
         command: [v, w], shape (B, T, 2).
         modified_input: u = [v_e, w_e], shape (B, T, 2).
-        critic_weights: Wc, shape (B, T, L).
+        critic_weights: Wc, shape (B, T, L); L = 0 for controllers without.
         actor_weights: Wa, shape (B, T, L).
-        bellman_error: delta at the state, shape (B, T).
+        bellman_error: delta at the state, shape (B, T); NaN for controllers without.
 
     """
 
@@ -67,8 +73,10 @@ class SimulationResult:
         final_error: e at the end, shape (B, 3).
         settling_time: Time after which |e| stays below 0.05 [s], infinite where it does not (B,).
         max_inputs: Largest |v| and |w| commanded, shape (B, 2).
-        weights: Weights at the end, shape (B, L) each.
-        excitation: Smallest value of the certificate during the run, shape (B,).
+        weights: Weights at the end, shape (B, L) each; L = 0 for controllers without.
+        excitation: Smallest value of the certificate during the run, shape (B,); NaN for
+            controllers without.
+        step_time: Computing time of a control step of the batch, median [s].
         failed: Runs that lost the path altogether; their numbers are not finite, shape (B,).
         trajectories: The runs themselves, if they were asked for.
 
@@ -81,6 +89,7 @@ class SimulationResult:
     max_inputs: FloatArray
     weights: Weights
     excitation: FloatArray
+    step_time: float
     failed: np.ndarray
     trajectories: Trajectories | None = field(default=None, repr=False)
 
@@ -95,6 +104,7 @@ def simulate(
     rate: float = 100.0,
     learning: str = "cold",
     plant: PlantSettings | None = None,
+    controller: ControllerFactory = PathFollower,
     record: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> SimulationResult:
@@ -110,6 +120,7 @@ def simulate(
         learning: "cold" starts with the weights of the settings, "warm" first learns at the start
             until the weights settle, "frozen" never changes the weights.
         plant: Imperfections of the robot; an ideal one by default.
+        controller: What makes the controller; `learning` matters to `PathFollower` only.
         record: Keep trajectories.
         progress: Called now and then with the fraction that is done.
 
@@ -138,7 +149,9 @@ def simulate(
     blocks = [errors[first : first + _BLOCK] for first in range(0, len(errors), _BLOCK)]
     results = []
     for index, block in enumerate(blocks):
-        loop = _ClosedLoop(settings, path, block, start_arc_length, learning, plant)
+        loop = _ClosedLoop(
+            settings, path, block, start_arc_length, learning, plant, controller, duration
+        )
 
         def report(fraction: float, index: int = index) -> None:
             if progress is not None:
@@ -149,7 +162,7 @@ def simulate(
 
 
 class _ClosedLoop:
-    """One block of runs: plant, follower and the cost along the way."""
+    """One block of runs: plant, controller and the cost along the way."""
 
     def __init__(
         self,
@@ -159,20 +172,20 @@ class _ClosedLoop:
         start_arc_length: float,
         learning: str,
         plant: PlantSettings | None,
+        controller: ControllerFactory,
+        duration: float,
     ) -> None:
         if learning == "frozen":
             settings = update(settings, {"learning": False})
-        initial = Weights.initial(settings.learning)
-        self._initial = Weights(
-            np.tile(initial.critic, (len(starts), 1)), np.tile(initial.actor, (len(starts), 1))
-        )
         arc_length = np.full(len(starts), start_arc_length)
         self._starts = starts
-        self._follower = PathFollower(settings, path, arc_length, self._initial)
+        self._settings, self._path = settings, path
+        self._controller = controller(settings, path, arc_length)
         pose = pose_in_frame(starts, path.frame(arc_length).pose)
         self._robot = Unicycle(pose, plant if plant is not None else PlantSettings())
-        if learning == "warm":
-            self._follower.learn_at_rest(pose)
+        if learning == "warm" and isinstance(self._controller, PathFollower):
+            ahead = duration * settings.target.desired_speed + _WARM_MARGIN
+            self._controller.learn_at_rest(pose, ahead)
         self._failed = np.zeros(len(starts), dtype=bool)
 
     def run(
@@ -180,13 +193,16 @@ class _ClosedLoop:
     ) -> SimulationResult:
         """Return the outcome after so many control periods [s]."""
         count = len(self._starts)
-        records: list[tuple[FollowerOutput, FloatArray]] = []
+        records: list[tuple[ControlOutput, FloatArray]] = []
         last_outside = np.full(count, -1)
         max_inputs = np.zeros((count, 2))
         excitation = np.full(count, math.inf)
         cost = np.zeros(count)
+        step_times = np.zeros(steps + 1)
         for step in range(steps + 1):
-            output = self._follower.step(self._robot.measured_pose(), period)
+            begun = time.perf_counter()
+            output = self._controller.step(self._robot.measured_pose(), period)
+            step_times[step] = time.perf_counter() - begun
             command = self._checked_command(output)
             outside = ~(np.linalg.norm(output.error, axis=-1) < SETTLED_ERROR)
             last_outside[outside] = step
@@ -194,7 +210,8 @@ class _ClosedLoop:
                 records.append((output, self._robot.pose))
             if step % max(1, round(0.1 / period)) == 0:
                 progress(step / (steps + 1))
-                excitation = np.minimum(excitation, output.excitation)
+                if isinstance(output, FollowerOutput):
+                    excitation = np.minimum(excitation, output.excitation)
             if step < steps:
                 max_inputs = np.maximum(max_inputs, np.abs(command))
                 cost += self._move(output.arc_length, command, period)
@@ -205,26 +222,27 @@ class _ClosedLoop:
             final_error=np.where(self._failed[:, None], math.nan, output.error),
             settling_time=np.where(self._failed, math.inf, settling_time),
             max_inputs=max_inputs,
-            weights=output.weights,
-            excitation=excitation,
+            weights=_weights(output),
+            excitation=np.where(np.isfinite(excitation), excitation, math.nan),
+            step_time=float(np.median(step_times)),
             failed=self._failed,
             trajectories=_trajectories(records, period) if record else None,
         )
 
-    def _checked_command(self, output: FollowerOutput) -> FloatArray:
+    def _checked_command(self, output: ControlOutput) -> FloatArray:
         """Return the command, zero for runs that are lost; those stay where they are."""
-        weights = self._follower.weights
-        finite = np.isfinite(np.concatenate([output.command, weights.critic, weights.actor], -1))
+        finite = np.isfinite(output.command).all(axis=-1)
+        if isinstance(self._controller, PathFollower):
+            after = self._controller.weights
+            for values in (after.critic, after.actor):
+                finite = finite & np.isfinite(values).all(axis=-1)
         near = np.linalg.norm(output.error, axis=-1) < _LOST
-        self._failed = self._failed | ~(finite.all(axis=-1) & near)
+        self._failed = self._failed | ~(finite & near)
         if not self._failed.any():
             return output.command
-        lost = self._failed[:, None]
-        self._follower.weights = Weights(
-            np.where(lost, self._initial.critic, weights.critic),
-            np.where(lost, self._initial.actor, weights.actor),
-        )
-        return np.where(lost, 0.0, output.command)
+        if isinstance(self._controller, PathFollower):
+            self._controller.reset_learning(self._failed)
+        return np.where(self._failed[:, None], 0.0, output.command)
 
     def _move(self, arc_length: FloatArray, command: FloatArray, period: float) -> FloatArray:
         """Move the robot for one period; return the cost along its true motion, shape (B,)."""
@@ -235,14 +253,15 @@ class _ClosedLoop:
             start = self._robot.pose
             self._robot.step(command, step)
             spent, arc_length = motion_cost(
-                self._follower, start, self._robot.twist, arc_length, step
+                self._settings, self._path, start, self._robot.twist, arc_length, step
             )
             cost += spent
         return cost
 
 
 def motion_cost(
-    follower: PathFollower,
+    settings: Settings,
+    path: Path,
     pose: FloatArray,
     twist: FloatArray,
     arc_length: FloatArray,
@@ -254,21 +273,22 @@ def motion_cost(
     the controller has it at the start.
 
     Args:
-        follower: Gives path, target and cost.
+        settings: Give cost and target.
+        path: The path that is followed.
         pose: Pose at the start, shape (..., 3).
         twist: [v, w] that is held, shape (..., 2).
         arc_length: s_p at the start [m], shape (...).
         duration: Time [s]; at most 10 ms for an error below 1e-6 of the cost.
 
     """
-    target = follower.settings.target
+    target, running_cost = settings.target, RunningCost(settings.cost)
 
     def rates(time: float, place: FloatArray) -> tuple[FloatArray, FloatArray]:
         here = advance_pose(pose, twist[..., 0], twist[..., 1], time)
-        frame = follower.path.frame(place)
+        frame = path.frame(place)
         error = error_dynamics.tracking_error(here, frame.pose)
         modified_input = twist - error_dynamics.feedforward(frame.curvature, target)
-        cost_rate = follower.running_cost(error, modified_input)
+        cost_rate = running_cost(error, modified_input)
         return cost_rate, error_dynamics.target_speed(error, target)
 
     first, speed = rates(0.0, arc_length)
@@ -278,10 +298,28 @@ def motion_cost(
     return duration / 6.0 * (first + 4.0 * middle + last), arc_length
 
 
-def _trajectories(records: list[tuple[FollowerOutput, FloatArray]], period: float) -> Trajectories:
+def _weights(output: ControlOutput) -> Weights:
+    """Return the weights of an output, one set for each run, shape (B, L) each."""
+    if not isinstance(output, FollowerOutput):
+        none = np.zeros((len(output.error), 0))
+        return Weights(none, none)
+
+    def repeated(values: FloatArray) -> FloatArray:
+        return np.broadcast_to(values, (len(output.error), values.shape[-1]))
+
+    return Weights(repeated(output.weights.critic), repeated(output.weights.actor))
+
+
+def _bellman_error(output: ControlOutput) -> FloatArray:
+    if not isinstance(output, FollowerOutput):
+        return np.full(len(output.error), math.nan)
+    return output.bellman_error
+
+
+def _trajectories(records: list[tuple[ControlOutput, FloatArray]], period: float) -> Trajectories:
     """Return the records of a block with the runs first."""
 
-    def stacked(take: Callable[[FollowerOutput], FloatArray]) -> FloatArray:
+    def stacked(take: Callable[[ControlOutput], FloatArray]) -> FloatArray:
         return np.stack([take(output) for output, _ in records], axis=1)
 
     return Trajectories(
@@ -291,9 +329,9 @@ def _trajectories(records: list[tuple[FollowerOutput, FloatArray]], period: floa
         arc_length=stacked(lambda output: output.arc_length),
         command=stacked(lambda output: output.command),
         modified_input=stacked(lambda output: output.modified_input),
-        critic_weights=stacked(lambda output: output.weights.critic),
-        actor_weights=stacked(lambda output: output.weights.actor),
-        bellman_error=stacked(lambda output: output.bellman_error),
+        critic_weights=stacked(lambda output: _weights(output).critic),
+        actor_weights=stacked(lambda output: _weights(output).actor),
+        bellman_error=stacked(_bellman_error),
     )
 
 
@@ -322,6 +360,7 @@ def _joined(blocks: list[SimulationResult]) -> SimulationResult:
             joined(lambda block: block.weights.critic), joined(lambda block: block.weights.actor)
         ),
         excitation=joined(lambda block: block.excitation),
+        step_time=float(np.median([block.step_time for block in blocks])),
         failed=joined(lambda block: block.failed),
         trajectories=trajectories,
     )

@@ -124,7 +124,8 @@ def _cost(replay: Replay, time: FloatArray) -> float:
     for step in np.flatnonzero(time[:-1] < COST_HORIZON - 1e-6):
         output = replay.outputs[step]
         spent, _ = motion_cost(
-            replay.follower,
+            replay.follower.settings,
+            replay.follower.path,
             replay.odometry[step, :3],
             replay.recorded[step],
             output.arc_length,

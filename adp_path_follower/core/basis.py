@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
 from typing import Protocol
 
 import numpy as np
@@ -22,8 +22,15 @@ class Basis(Protocol):
     def value(self, zeta: FloatArray) -> FloatArray:
         """Return sigma at states of shape (..., 4), shape (..., L)."""
 
+    @property
+    def depends_on_path_state(self) -> bool:
+        """Return whether phi is among the variables."""
+
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
+
+    def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
+        """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
 
 
 class QuadraticBasis:
@@ -69,12 +76,172 @@ class QuadraticBasis:
         slope = (zeta @ self._flat_slope).reshape(*zeta.shape[:-1], *self._offset.shape)
         return np.asarray(slope + self._offset)
 
+    @property
+    def depends_on_path_state(self) -> bool:
+        """Return whether phi is among the variables."""
+        return any(3 in product for product in self._products) or 3 in self._singles
+
+    def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
+        """Return the weights of the value function e^T P e for P (..., 3, 3), shape (..., L)."""
+        weights = np.zeros((*matrix.shape[:-2], len(self.labels)))
+        for term, (i, j) in enumerate(self._products):
+            if j < 3:
+                weights[..., term] = matrix[..., i, j] * (1.0 if i == j else 2.0)
+        return weights
+
+
+class PolynomialBasis:
+    """All monomials of the error e = [s, y, theta] from degree 2 to a highest degree."""
+
+    def __init__(self, degree: int) -> None:
+        """Prepare the exponents, by rising degree: the quadratic terms come first."""
+        self.degree = degree
+        self._exponents = np.array(
+            [
+                (i, j, total - i - j)
+                for total in range(2, degree + 1)
+                for i in range(total, -1, -1)
+                for j in range(total - i, -1, -1)
+            ]
+        )
+        # Where the power of each variable, and of its derivative, stands in the table of powers.
+        self._columns = [self._exponents[:, axis] for axis in range(3)]
+        self._derivative_columns = [np.maximum(column - 1, 0) for column in self._columns]
+        self._factors = [column.astype(float) for column in self._columns]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the name of each term, length L, such as "s y" or "s y² θ"."""
+        names = STATE_LABELS
+        return tuple(
+            " ".join(
+                names[axis] + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
+                for axis, power in enumerate(powers)
+                if power
+            )
+            for powers in self._exponents.tolist()
+        )
+
+    @property
+    def depends_on_path_state(self) -> bool:
+        """Return whether phi is among the variables: never."""
+        return False
+
+    def value(self, zeta: FloatArray) -> FloatArray:
+        """Return sigma at states of shape (..., 4), shape (..., L)."""
+        powers = self._powers(zeta)
+        s, y, theta = (powers[..., axis, self._columns[axis]] for axis in range(3))
+        return np.asarray(s * y * theta)
+
+    def gradient(self, zeta: FloatArray) -> FloatArray:
+        """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
+        powers = self._powers(zeta)
+        s, y, theta = (powers[..., axis, self._columns[axis]] for axis in range(3))
+        by_s, by_y, by_theta = (
+            self._factors[axis] * powers[..., axis, self._derivative_columns[axis]]
+            for axis in range(3)
+        )
+        gradient = np.zeros((*s.shape, len(STATE_LABELS)))
+        gradient[..., 0] = by_s * y * theta
+        gradient[..., 1] = s * by_y * theta
+        gradient[..., 2] = s * y * by_theta
+        return gradient
+
+    def _powers(self, zeta: FloatArray) -> FloatArray:
+        """Return e to the powers 0, 1, ..., degree, shape (..., 3, degree + 1)."""
+        powers = np.ones((*zeta.shape[:-1], 3, self.degree + 1))
+        for power in range(1, self.degree + 1):
+            powers[..., power] = powers[..., power - 1] * zeta[..., :3]
+        return powers
+
+    def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
+        """Return the weights of the value function e^T P e for P (..., 3, 3), shape (..., L)."""
+        weights = np.zeros((*matrix.shape[:-2], len(self._exponents)))
+        for term, (i, j) in enumerate(_PAIRS):
+            weights[..., term] = matrix[..., i, j] * (1.0 if i == j else 2.0)
+        return weights
+
+
+class HalfAngleBasis:
+    """Another basis, of the position error seen from half way between path and robot.
+
+    The position error is turned by theta / 2: a = s cos(theta/2) + y sin(theta/2) and
+    b = y cos(theta/2) - s sin(theta/2) take the places of s and y. Quadratic value functions of
+    (a, b, theta) are much nearer to the optimal one, and stabilise from any heading.
+    """
+
+    def __init__(self, basis: Basis) -> None:
+        """Take the basis whose s and y are to be a and b."""
+        self._basis = basis
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the name of each term, length L, such as "a b" or "b² θ"."""
+        return tuple(label.replace("s", "a").replace("y", "b") for label in self._basis.labels)
+
+    @property
+    def depends_on_path_state(self) -> bool:
+        """Return whether phi is among the variables."""
+        return self._basis.depends_on_path_state
+
+    def value(self, zeta: FloatArray) -> FloatArray:
+        """Return sigma at states of shape (..., 4), shape (..., L)."""
+        return self._basis.value(_half_angle(zeta)[0])
+
+    def gradient(self, zeta: FloatArray) -> FloatArray:
+        """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
+        turned, cos, sin = _half_angle(zeta)
+        inner = self._basis.gradient(turned)
+        cos, sin = cos[..., None], sin[..., None]
+        by_a, by_b = inner[..., 0], inner[..., 1]
+        gradient = np.empty_like(inner)
+        gradient[..., 0] = cos * by_a - sin * by_b
+        gradient[..., 1] = sin * by_a + cos * by_b
+        turning = turned[..., 1, None] * by_a - turned[..., 0, None] * by_b
+        gradient[..., 2] = inner[..., 2] + 0.5 * turning
+        gradient[..., 3] = inner[..., 3]
+        return gradient
+
+    def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
+        """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
+        return self._basis.quadratic_weights(matrix)
+
+
+def _half_angle(zeta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the states with a and b for s and y, and cos and sin of half the heading error."""
+    half = 0.5 * zeta[..., 2]
+    cos, sin = np.cos(half), np.sin(half)
+    s, y = zeta[..., 0], zeta[..., 1]
+    turned = zeta.copy()
+    turned[..., 0] = s * cos + y * sin
+    turned[..., 1] = y * cos - s * sin
+    return turned, cos, sin
+
 
 _CROSS_TERMS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of the polynomial's quadratic terms
+_SUPERSCRIPTS = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
 
-BASES: Mapping[str, Basis] = {
-    # The paper's basis with its last three terms as squares (docs/paper.md, erratum 1).
-    "paper": QuadraticBasis(products=(*_CROSS_TERMS, (0, 0), (1, 1), (2, 2))),
-    # The basis as it is printed, to show that it leaves the path.
-    "paper_misprinted": QuadraticBasis(products=_CROSS_TERMS, singles=(0, 1, 2)),
-}
+BASES = ("paper", "paper_misprinted", "polynomial")
+FRAMES = ("serret_frenet", "half_angle")
+
+
+@functools.cache
+def make_basis(name: str, degree: int, frame: str) -> Basis:
+    """Return a basis by its name in `BASES`, in a frame of `FRAMES`.
+
+    Args:
+        name: "paper" is the paper's with its last three terms as squares (docs/paper.md, erratum
+            1), "paper_misprinted" the one that is printed, to show that it leaves the path.
+        degree: Highest degree of "polynomial".
+        frame: The coordinates of the position error.
+
+    """
+    basis: Basis
+    if name == "polynomial":
+        basis = PolynomialBasis(degree)
+    elif name == "paper":
+        basis = QuadraticBasis(products=(*_CROSS_TERMS, (0, 0), (1, 1), (2, 2)))
+    else:
+        basis = QuadraticBasis(products=_CROSS_TERMS, singles=(0, 1, 2))
+    return HalfAngleBasis(basis) if frame == "half_angle" else basis

@@ -46,6 +46,11 @@ class BellmanErrors:
         scaled = self.error / self.normalization
         return np.asarray(np.matmul(scaled[..., None, :], self.regressor)[..., 0, :])
 
+    @property
+    def excitation(self) -> FloatArray:
+        """Return the smallest singular value of the rank condition's matrix, shape (...)."""
+        return excitation(self.information)
+
 
 def bellman_errors(
     critic_weights: FloatArray, regressor: FloatArray, running_cost: FloatArray

@@ -8,47 +8,35 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.bellman import (
-    BellmanErrors,
-    SampledModel,
-    excitation,
-    measured_error,
-)
+from adp_path_follower.core.arc_length_learner import ArcLengthLearner
+from adp_path_follower.core.bellman import BellmanErrors, measured_error
+from adp_path_follower.core.controller import ControlOutput, RunningCost, VirtualTarget
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learner import Weights, update_weights
+from adp_path_follower.core.learner import Evidence, Learner, Weights
 from adp_path_follower.core.path import Path, PathFrame
+from adp_path_follower.core.path_state_learner import PathStateLearner
 from adp_path_follower.core.policy import actor_input, saturate
+from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.wide_region import WideRegion
 
 
 @dataclass(frozen=True)
-class FollowerOutput:
-    """What one control step gives; arrays have the leading axes of the pose.
+class FollowerOutput(ControlOutput):
+    """What one control step of `PathFollower` gives.
 
     Attributes:
-        command: [v, w] to apply [m/s, rad/s], shape (..., 2).
-        modified_input: u = [v_e, w_e], the command less its feedforward, shape (..., 2).
-        error: e = [s, y, theta] [m, m, rad], shape (..., 3).
-        target_pose: Pose of the virtual target, shape (..., 3).
-        arc_length: s_p [m], shape (...).
-        curvature: kappa at the target [1/m], shape (...).
         running_cost: e^T Q e + u^T R u, shape (...).
         weights: Critic and actor weights that gave the command, shape (..., L) each.
         measured: Bellman error at the measured state.
-        sampled: Bellman errors at the sampled states.
+        sampled: What the samples say of the weights.
 
     """
 
-    command: FloatArray
-    modified_input: FloatArray
-    error: FloatArray
-    target_pose: FloatArray
-    arc_length: FloatArray
-    curvature: FloatArray
     running_cost: FloatArray
     weights: Weights
     measured: BellmanErrors
-    sampled: BellmanErrors
+    sampled: Evidence
 
     @property
     def bellman_error(self) -> FloatArray:
@@ -56,22 +44,20 @@ class FollowerOutput:
         return self.measured.error[..., 0]
 
     @property
-    def excitation(self) -> FloatArray:
-        """Return the smallest singular value of the rank condition's matrix, shape (...)."""
-        return excitation(self.sampled.information)
+    def excitation(self) -> FloatArray | float:
+        """Return the certificate of excitation, shape (...)."""
+        return self.sampled.excitation
 
 
 class PathFollower:
     """Follow a path by the policy that is being learned.
 
-    One object drives one robot, or a batch of robots at once: the leading axes of the pose, of
-    the arc length and of the weights are the batch.
+    One object drives one robot, or a batch of robots at once: the leading axes of the pose and of
+    the arc length are the batch.
 
     Attributes:
         settings: What it was made with.
         path: The path that it follows.
-        arc_length: s_p of the virtual target [m], shape (...).
-        weights: Critic and actor weights, shape (..., L) each.
         cost: J so far, by the trapezoidal rule over the control steps, shape (...).
 
     """
@@ -83,18 +69,47 @@ class PathFollower:
         arc_length: ArrayLike = 0.0,
         weights: Weights | None = None,
     ) -> None:
-        """Start at an arc length [m] of the path, with the settings' weights by default."""
+        """Start at an arc length [m] of the path.
+
+        Args:
+            settings: All settings.
+            path: The path to follow.
+            arc_length: Where the virtual target starts [m], one for each robot of a batch.
+            weights: Where the one set of weights of scheduling: path_state starts; by default
+                the settings' initial weights.
+
+        """
         self.settings = settings
         self.path = path
-        self.arc_length = np.asarray(arc_length, dtype=float)
-        self.weights = Weights.initial(settings.learning) if weights is None else weights
-        self._model = SampledModel(settings, path)
-        self._state_cost = settings.cost.state_cost_matrix()
-        self._input_cost = settings.cost.input_cost_matrix()
-        self._input_cost_inverse = np.asarray(np.linalg.inv(self._input_cost), float)
+        self._target = VirtualTarget(path, settings.target, arc_length)
+        riccati = RiccatiSchedule(path, settings.target, settings.cost)
+        self._learner: Learner
+        if settings.learning.scheduling == "arc_length":
+            self._learner = ArcLengthLearner(settings, path, riccati)
+        else:
+            self._learner = PathStateLearner(settings, path, riccati, weights)
+        far_policy = settings.policy.wide_region != "none"
+        self._wide_region = WideRegion(settings, riccati) if far_policy else None
+        self._running_cost = RunningCost(settings.cost)
+        self._input_cost_inverse = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
         self._time: int | None = None
+
+    @property
+    def arc_length(self) -> FloatArray:
+        """Return s_p of the virtual target [m], shape (...)."""
+        return self._target.arc_length
+
+    @property
+    def weights(self) -> Weights:
+        """Return critic and actor weights where the target is, shape (..., L) each."""
+        return self._learner.local(self.arc_length).weights
+
+    @property
+    def learning_problem(self) -> str:
+        """Return why the Riccati policy has taken over, empty if it has not."""
+        return self._learner.problem
 
     def step(self, pose: FloatArray, dt: float) -> FollowerOutput:
         """Return the command for a pose [x, y, theta], shape (..., 3), after dt [s].
@@ -104,16 +119,14 @@ class PathFollower:
         """
         if self._previous is None or dt < 0.0:
             dt = 0.0
-        if self.arc_length.shape != pose.shape[:-1]:  # one start for a batch
-            self.arc_length = np.broadcast_to(self.arc_length, pose.shape[:-1])
-        frame, error = self._move_target(pose, dt)
+        frame, error = self._target.move(pose, dt)
         output = self._evaluate(frame, error)
         if self._previous is not None:
             mean_rate = 0.5 * (self._previous.running_cost + output.running_cost)
             self.cost = self.cost + dt * mean_rate
         self._previous = output
-        if self.settings.learning.learning and dt > 0.0:
-            self._learn(output, dt)
+        if self.settings.learning.learning:
+            self._learner.learn(output.measured, self.arc_length, dt)
         return output
 
     def step_at(self, pose: FloatArray, time: int) -> FollowerOutput:
@@ -128,39 +141,43 @@ class PathFollower:
         self._time = time
         return self.step(pose, elapsed)
 
-    def learn_at_rest(self, pose: FloatArray, seconds: float = 600.0) -> bool:
+    def learn_at_rest(self, pose: FloatArray, distance: float = 20.0) -> bool:
         """Learn with robot and target held where they are; return whether the weights settled.
 
         Args:
             pose: Where the robot is, shape (..., 3).
-            seconds: The most learning time that is spent.
+            distance: How far ahead is learned, where weights change along the path [m].
 
         """
-        frame, error = self._move_target(pose, 0.0)
-        step = 0.1
-        for _ in range(round(seconds / step)):
-            before = self.weights
-            self._learn(self._evaluate(frame, error), step)
-            change = np.abs(self.weights.critic - before.critic).max()
-            change = max(change, np.abs(self.weights.actor - before.actor).max())
-            if change < 1e-9:
-                return True
-        return False
+        self.hold()
+        frame, error = self._target.move(pose, 0.0)
+        self._target.hold()
+        return self._learner.settle(
+            lambda: self._evaluate(frame, error).measured, self.arc_length, distance
+        )
 
     def _evaluate(self, frame: PathFrame, error: FloatArray) -> FollowerOutput:
         """Return command, cost and Bellman errors of the present weights at an error."""
         target = self.settings.target
         phi = error_dynamics.path_state(self.arc_length, target)
         zeta = np.concatenate([error, phi[..., None]], axis=-1)
-        gradient = self.settings.learning.value_basis.gradient(zeta)
+        basis = self.settings.learning.value_basis
+        gradient = basis.gradient(zeta)
         input_matrix = error_dynamics.input_matrix(zeta)
         feedforward = error_dynamics.feedforward(frame.curvature, target)
+        local = self._learner.local(self.arc_length)
         input_gradient = np.matmul(gradient, input_matrix)
-        wanted = actor_input(self.weights.actor, input_gradient, self._input_cost_inverse)
+        wanted = actor_input(local.weights.actor, input_gradient, self._input_cost_inverse)
         applied = saturate(wanted, feedforward, self.settings.limits)
-        running_cost = self.running_cost(error, applied)
+        if self._wide_region is not None:
+            applied = self._wide_region.blend(applied, zeta, frame.curvature, feedforward)
+        running_cost = self._running_cost(error, applied)
         drift = error_dynamics.drift(zeta, frame.curvature, target)
         zeta_rate = drift + np.matmul(input_matrix, applied[..., None])[..., 0]
+        spent = running_cost
+        if local.slope is not None:  # the value function changes along the path by itself
+            passing = error_dynamics.target_speed(error, target)
+            spent = spent + passing * (local.slope * basis.value(zeta)).sum(axis=-1)
         return FollowerOutput(
             command=applied + feedforward,
             modified_input=applied,
@@ -169,51 +186,33 @@ class PathFollower:
             arc_length=self.arc_length,
             curvature=frame.curvature,
             running_cost=running_cost,
-            weights=self.weights,
-            measured=measured_error(self.weights.critic, gradient, zeta_rate, running_cost),
-            sampled=self._model.sweep(self.weights.critic, self.weights.actor),
+            weights=local.weights,
+            measured=measured_error(local.weights.critic, gradient, zeta_rate, spent),
+            sampled=self._learner.sampled,
         )
-
-    def _learn(self, output: FollowerOutput, dt: float) -> None:
-        self.weights = update_weights(
-            self.weights, output.measured, output.sampled, self.settings.learning, dt
-        )
-
-    def running_cost(self, error: FloatArray, modified_input: FloatArray) -> FloatArray:
-        """Return e^T Q e + u^T R u, shape (...)."""
-        state = (error @ self._state_cost * error).sum(axis=-1)
-        control = (modified_input @ self._input_cost * modified_input).sum(axis=-1)
-        return np.asarray(state + control)
 
     def hold(self) -> None:
         """Let no time pass until the next step: the robot was stopped, or not observed."""
         self._previous = None
+        self._target.hold()
 
-    def reset_learning(self) -> None:
-        """Return to the initial weights of the settings."""
-        self.weights = Weights.initial(self.settings.learning)
+    def reset_learning(self, where: np.ndarray | None = None) -> None:
+        """Return to the initial weights, of the robots of a batch where (...) is true."""
+        self._learner.reset(where)
+
+    def take_over(self, previous: PathFollower) -> None:
+        """Take over what another follower has learned, as far as it holds for this one.
+
+        One set of weights for the whole path is kept and learns on. Weights along a path are kept
+        while they are those of the same path and problem; of another one, the Riccati solution is
+        the better start.
+        """
+        self._learner.take_over(previous._learner)
 
     def reconfigured(self, settings: Settings) -> PathFollower:
-        """Return a follower with other settings at the same place, keeping what was learned."""
-        same_basis = settings.learning.basis == self.settings.learning.basis
-        weights = self.weights if same_basis else None
-        other = PathFollower(settings, self.path, self.arc_length, weights)
+        """Return a follower with other settings at the same place that has taken over from this."""
+        other = PathFollower(settings, self.path)
+        other.take_over(self)
+        other._target = self._target.copy(settings.target)
         other.cost, other._previous, other._time = self.cost, self._previous, self._time
         return other
-
-    def _move_target(self, pose: FloatArray, dt: float) -> tuple[PathFrame, FloatArray]:
-        """Move the virtual target over the past period; return its frame and the error there.
-
-        Heun's method: s_p' is taken at both ends of the period, where the robot was observed.
-        """
-        if self._previous is None or dt <= 0.0:
-            frame = self.path.frame(self.arc_length)
-            return frame, error_dynamics.tracking_error(pose, frame.pose)
-        target = self.settings.target
-        speed_before = error_dynamics.target_speed(self._previous.error, target)
-        guess = self.arc_length + dt * speed_before
-        error = error_dynamics.tracking_error(pose, self.path.frame(guess).pose)
-        speed_after = error_dynamics.target_speed(error, target)
-        self.arc_length = self.arc_length + 0.5 * dt * (speed_before + speed_after)
-        frame = self.path.frame(self.arc_length)
-        return frame, error_dynamics.tracking_error(pose, frame.pose)

@@ -14,15 +14,19 @@ symmetric solve. The actor's law is a first-order lag, solved exactly.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from adp_path_follower.core.bellman import BellmanErrors
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.settings import LearningSettings
+from adp_path_follower.core.learning_settings import LearningSettings
+from adp_path_follower.core.riccati import RiccatiSchedule
 
 _PROJECTION_LAYER = 0.1  # thickness of the smooth projection's layer, relative to the bound
+_RIDGE = 1e-9  # of least squares, on a unit diagonal
 
 
 @dataclass(frozen=True)
@@ -32,12 +36,83 @@ class Weights:
     critic: FloatArray
     actor: FloatArray
 
-    @classmethod
-    def initial(cls, learning: LearningSettings) -> Weights:
-        """Return the weights that the settings start from."""
-        return cls(
-            np.array(learning.initial_critic_weights), np.array(learning.initial_actor_weights)
-        )
+
+@dataclass(frozen=True)
+class LocalWeights:
+    """The value function at a place of the path.
+
+    Attributes:
+        weights: Critic and actor there, shape (..., L) each.
+        slope: How the critic changes along the path [1/m], shape (..., L), or None if it is the
+            same everywhere.
+
+    """
+
+    weights: Weights
+    slope: FloatArray | None = None
+
+
+class Evidence(Protocol):
+    """What the samples say of the weights."""
+
+    @property
+    def excitation(self) -> FloatArray | float:
+        """Return the certificate of excitation, shape (...)."""
+
+
+class Learner(Protocol):
+    """Learns the value function, and the policy from it.
+
+    Attributes:
+        problem: Why the safe policy has taken over, empty if it has not.
+
+    """
+
+    problem: str
+
+    @property
+    def sampled(self) -> Evidence:
+        """Return what the samples say of the present weights."""
+
+    def local(self, arc_length: FloatArray) -> LocalWeights:
+        """Return the weights at arc lengths [m] of shape (...)."""
+
+    def learn(self, measured: BellmanErrors, arc_length: FloatArray, dt: float) -> None:
+        """Learn for dt [s], given the Bellman error at the measured state."""
+
+    def settle(
+        self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
+    ) -> bool:
+        """Learn with the robot at rest; return whether the weights settled.
+
+        Args:
+            measure: Gives the Bellman error of the present weights where the robot is.
+            arc_length: Where the targets are [m], any shape.
+            distance: How far ahead of them is learned, where weights change along the path [m].
+
+        """
+
+    def take_over(self, previous: Learner) -> None:
+        """Take over what another learner has learned, as far as it holds for this one."""
+
+    def reset(self, where: np.ndarray | None = None) -> None:
+        """Return to the initial weights, of the runs of a batch where (...) is true."""
+
+
+def initial_weights(
+    learning: LearningSettings, riccati: RiccatiSchedule, curvature: FloatArray
+) -> Weights:
+    """Return the weights to start from at curvatures (...) [1/m], shape (..., L) each."""
+    size = len(learning.value_basis.labels)
+    if learning.initial_weights == "riccati":
+        weights = learning.value_basis.quadratic_weights(riccati.matrix(curvature))
+        return Weights(weights, weights.copy())
+
+    def listed(values: tuple[float, ...]) -> FloatArray:
+        padded = np.array([*values, *[0.0] * (size - len(values))])
+        return np.broadcast_to(padded, (*curvature.shape, size)).copy()
+
+    return Weights(listed(learning.initial_critic_weights), listed(learning.initial_actor_weights))
 
 
 def update_weights(
@@ -62,9 +137,31 @@ def update_weights(
     rate = gain_measured * measured.information + gain_sampled * sampled.information
     descent = gain_measured * measured.gradient + gain_sampled * sampled.gradient
     critic = weights.critic - relax(rate, descent, dt)
-    step = -math.expm1(-learning.actor_gain * dt) * (critic - weights.actor)
-    actor = weights.actor + project(step, weights.actor, learning.actor_weight_bound)
-    return Weights(critic, bound_norm(actor, learning.actor_weight_bound))
+    return Weights(critic, follow(weights.actor, critic, learning, dt))
+
+
+def least_squares(weights: Weights, sampled: BellmanErrors) -> FloatArray:
+    """Return the critic weights with the least normalised Bellman errors, shape (..., L).
+
+    The policy is the actor's, held; where the samples determine a combination of weights not at
+    all, it stays near zero.
+    """
+    scaled = sampled.regressor / sampled.normalization[..., None]
+    constant = sampled.error - np.einsum("...nl,...l->...n", sampled.regressor, weights.critic)
+    matrix = np.matmul(np.swapaxes(scaled, -1, -2), scaled)
+    vector = np.einsum("...nl,...n->...l", scaled, constant / sampled.normalization)
+    size = np.einsum("...ll->...l", matrix)
+    matrix = matrix + _RIDGE * (size + 1e-12)[..., None] * np.eye(matrix.shape[-1])
+    return np.asarray(np.linalg.solve(matrix, -vector[..., None])[..., 0])
+
+
+def follow(
+    actor_weights: FloatArray, critic_weights: FloatArray, learning: LearningSettings, dt: float
+) -> FloatArray:
+    """Return the actor weights after following the critic for dt [s], shape (..., L)."""
+    step = -math.expm1(-learning.actor_gain * dt) * (critic_weights - actor_weights)
+    actor = actor_weights + project(step, actor_weights, learning.actor_weight_bound)
+    return bound_norm(actor, learning.actor_weight_bound)
 
 
 def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:

@@ -175,6 +175,12 @@ class Path:
         """Return the path curvature kappa [1/m] at each arc length, same shape."""
         return self.frame(arc_length).curvature
 
+    @property
+    def curvature_range(self) -> tuple[float, float]:
+        """Return the least and the greatest curvature [1/m], as seen at every piece's start."""
+        curvature = self.curvature(np.arange(self._pieces + 1) * self._step)
+        return float(curvature.min()), float(curvature.max())
+
     def points(self, spacing: float = 0.05) -> FloatArray:
         """Return poses along the path, at most `spacing` [m] apart, shape (N, 3).
 

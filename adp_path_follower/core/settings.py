@@ -7,15 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.basis import BASES, Basis
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learning_settings import LearningSettings, PolicySettings
 from adp_path_follower.core.schema import POSITIVE, setting
 
-_STRUCTURE = "the learner's arrays are sized by it"
 _WIRING = "the node's topics and timers are made from it"
-# The Riccati solution for the default speed, gains and cost on a straight line.
-_RICCATI_WEIGHTS = (0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.905, 2.8284, 1.4142)
 
 
 def _matrix(name: str, values: tuple[float, ...], size: int) -> FloatArray:
@@ -133,111 +130,6 @@ class LimitSettings:
 
 
 @dataclass(frozen=True)
-class LearningSettings:
-    """Learning."""
-
-    learning: bool = setting(
-        True, "Learn while driving; false keeps the weights as they are.", symbol=""
-    )
-    basis: str = setting(
-        "paper",
-        "Basis of the value function; paper_misprinted is the one that is printed, which leaves "
-        "the path (docs/paper.md).",
-        symbol="σ",
-        choices=tuple(BASES),
-        read_only=_STRUCTURE,
-    )
-    critic_gain_measured: float = setting(
-        0.0,
-        "Gain of the Bellman error at the measured state; far from the path it teaches a "
-        "quadratic basis what holds only there.",
-        symbol="η_c1",
-        low=0.0,
-        high=1e4,
-    )
-    critic_gain_sampled: float = setting(
-        10.0,
-        "Gain of the Bellman errors extrapolated to the sampled states.",
-        symbol="η_c2",
-        low=0.0,
-        high=1e4,
-    )
-    actor_gain: float = setting(
-        5.0,
-        "Rate at which the actor follows the critic.",
-        symbol="η_a",
-        unit="1/s",
-        low=0.0,
-        high=1e4,
-    )
-    actor_weight_bound: float = setting(
-        10.0,
-        "Norm that the smooth projection keeps the actor weights below.",
-        symbol="W̄",
-        low=POSITIVE,
-        high=1e6,
-    )
-    sample_half_widths: tuple[float, ...] = setting(
-        (0.1, 0.1, 0.1, 0.1),
-        "Half-width of the grid of sampled states about the origin, along s [m], y [m], θ [rad] "
-        "and φ (below 1, for φ = ±1 is s_p = ±∞).",
-        symbol="ζ_j",
-        lengths=(4,),
-        low=POSITIVE,
-        high=100.0,
-    )
-    samples_per_axis: tuple[int, ...] = setting(
-        (3, 3, 3, 3),
-        "Number of sampled values along s, y, θ and φ.",
-        symbol="N",
-        lengths=(4,),
-        low=1,
-        high=50,
-        read_only=_STRUCTURE,
-    )
-    initial_critic_weights: tuple[float, ...] = setting(
-        _RICCATI_WEIGHTS,
-        "Critic weights at the start and after ~/reset_learning, one for each term of the basis.",
-        symbol="Ŵc(0)",
-        low=-1e6,
-        high=1e6,
-    )
-    initial_actor_weights: tuple[float, ...] = setting(
-        _RICCATI_WEIGHTS,
-        "Actor weights at the start and after ~/reset_learning, one for each term of the basis.",
-        symbol="Ŵa(0)",
-        low=-1e6,
-        high=1e6,
-    )
-
-    def __post_init__(self) -> None:
-        """Refuse weights and grids that do not fit the basis."""
-        size = len(self.value_basis.labels)
-        for name in ("initial_critic_weights", "initial_actor_weights"):
-            weights = getattr(self, name)
-            if len(weights) != size:
-                raise SettingsError(
-                    f"setting '{name}' has {len(weights)} values, but the basis '{self.basis}' "
-                    f"needs {size}: one for each of {', '.join(self.value_basis.labels)}"
-                )
-        if self.sample_half_widths[3] >= 1.0:
-            raise SettingsError(
-                f"setting 'sample_half_widths' is {list(self.sample_half_widths)}, but its fourth "
-                "value (φ) must be below 1: φ = 1 is the end of an infinitely long path"
-            )
-        if math.prod(self.samples_per_axis) > 10_000:
-            raise SettingsError(
-                f"setting 'samples_per_axis' is {list(self.samples_per_axis)}, but its product, "
-                "the number of samples, must be at most 10000"
-            )
-
-    @property
-    def value_basis(self) -> Basis:
-        """Return the basis that is named."""
-        return BASES[self.basis]
-
-
-@dataclass(frozen=True)
 class ControllerSettings:
     """Controller node."""
 
@@ -289,4 +181,5 @@ class Settings:
     cost: CostSettings
     limits: LimitSettings
     learning: LearningSettings
+    policy: PolicySettings
     controller: ControllerSettings

@@ -21,7 +21,6 @@ from adp_path_follower import __version__
 from adp_path_follower.core.errors import PathError, SettingsError
 from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learner import Weights
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.schema import flatten, yaml_text
 from adp_path_follower.core.settings import Settings
@@ -70,8 +69,9 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._path: Path | None = None
         self._path_frame = ""
         self._path_problem = ""
+        self._learning_problem = ""
         self._follower: PathFollower | None = None
-        self._weights: Weights | None = None
+        self._learned: PathFollower | None = None  # the follower of the path before
         self._measurement: Measurement | None = None
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
@@ -190,7 +190,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._path is not None and path.digest() == self._path.digest():
             return
         if self._follower is not None:
-            self._weights = self._follower.weights
+            self._learned = self._follower
         self._path, self._path_frame, self._follower = path, frame, None
         self._supervisor.path_received()
         kind = "closed" if path.closed else "open"
@@ -214,20 +214,20 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Check a change of parameters as a whole; take it over between two steps, or refuse."""
         try:
             settings = changed_settings(self._settings, parameters)
+            if settings != self._settings and self._follower is not None:
+                self._follower = self._follower.reconfigured(settings)
         except SettingsError as error:
             return SetParametersResult(successful=False, reason=str(error))
         if settings != self._settings:
             self._settings = settings
             self._supervisor.odom_timeout = settings.controller.odom_timeout
-            if self._follower is not None:
-                self._follower = self._follower.reconfigured(settings)
             self._publish_configuration()
         return SetParametersResult(successful=True)
 
     def _reset_learning(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        self._weights = None
+        self._learned = None
         if self._follower is not None:
             self._follower.reset_learning()
         response.success, response.message = True, "weights are the initial ones again"
@@ -247,13 +247,19 @@ class PathFollowerNode(Ending, LifecycleNode):
             return
         assert self._measurement is not None  # there is no FOLLOWING without odometry
         pose = self._measurement.pose_at(time)
-        follower = self._follower or self._start_following(pose)
+        try:
+            follower = self._follower or self._start_following(pose)
+        except SettingsError as error:
+            self._supervisor.command_refused(str(error))
+            self._update_status()
+            return
         output = follower.step_at(pose, time)
         if not np.isfinite(output.command).all():
             follower.reset_learning()
             self._supervisor.command_refused("the learner's command is not finite")
             self._update_status()
             return
+        self._report_learning(follower.learning_problem)
         self._last_command, self._step_time = output.command, time
         self._send(output.command, time)
         self._telemetry.step(time, self._path_frame, output, float(follower.cost))
@@ -267,9 +273,11 @@ class PathFollowerNode(Ending, LifecycleNode):
         assert self._path is not None  # there is no FOLLOWING without a path
         beginning = self._settings.controller.path_start == "beginning"
         arc_length = 0.0 if beginning else self._path.nearest(pose)
-        self._follower = PathFollower(self._settings, self._path, arc_length, self._weights)
-        self._step_time = None
-        return self._follower
+        follower = PathFollower(self._settings, self._path, arc_length)
+        if self._learned is not None:
+            follower.take_over(self._learned)
+        self._follower, self._learned, self._step_time = follower, None, None
+        return follower
 
     def _send(self, command: FloatArray, time: int) -> None:
         if self._settings.controller.enable_stamped_cmd_vel:
@@ -317,6 +325,20 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     # Reports
 
+    def _report_learning(self, problem: str) -> None:
+        """Say when the Riccati policy takes over from the learned one, and when it hands back."""
+        if problem == self._learning_problem:
+            return
+        if problem:
+            self.get_logger().warning(
+                f"learning has gone wrong: {problem}; the Riccati policy has taken over where it "
+                "did, until learning succeeds"
+            )
+        else:
+            self.get_logger().info("learning succeeds again: the learned policy is back")
+        self._learning_problem = problem
+        self._publish_diagnostics()
+
     def _publish_diagnostics(self) -> None:
         if self._command_publisher is None:
             return
@@ -325,7 +347,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._follower is not None:
             values["arc_length [m]"] = f"{float(self._follower.arc_length):.3f}"
             values["cost"] = f"{float(self._follower.cost):.6g}"
-        self._telemetry.diagnostics(self._now(), self._shown, self._path_problem, values)
+        problems = (self._path_problem, self._learning_problem)
+        self._telemetry.diagnostics(self._now(), self._shown, *problems, values)
 
     def _publish_configuration(self) -> None:
         if self._command_publisher is None:

@@ -121,13 +121,24 @@ class Telemetry:
         self._configuration.publish(String(data=text))
 
     def diagnostics(
-        self, time: int, status: Status, path_problem: str, values: dict[str, str]
+        self,
+        time: int,
+        status: Status,
+        path_problem: str,
+        learning_problem: str,
+        values: dict[str, str],
     ) -> None:
-        """Publish state and cause, and whether the last path was refused."""
-        level = max(_LEVELS[status.state], DiagnosticStatus.ERROR if path_problem else b"\x00")
+        """Publish state and cause, whether the last path was refused, and how learning goes."""
+        level = max(
+            _LEVELS[status.state],
+            DiagnosticStatus.ERROR if path_problem else DiagnosticStatus.OK,
+            DiagnosticStatus.WARN if learning_problem else DiagnosticStatus.OK,
+        )
         message = status.state.value + (f": {status.cause}" if status.cause else "")
         if path_problem:
             message += f"; path refused: {path_problem}"
+        if learning_problem:
+            message += f"; Riccati policy instead of the learned one: {learning_problem}"
         details = {"state": status.state.value, "cause": status.cause, "remedy": status.remedy}
         entry = DiagnosticStatus(
             level=level,

@@ -26,10 +26,7 @@ def rotation(seed):
 
 
 def learning_settings(**values):
-    weights = (0.0,) * SIZE
-    return LearningSettings(
-        basis="paper", initial_critic_weights=weights, initial_actor_weights=weights, **values
-    )
+    return LearningSettings(basis="paper", scheduling="path_state", **values)
 
 
 # --- the critic's step --------------------------------------------------------------------------
@@ -245,7 +242,7 @@ def updated(start, measured, sampled, learning, duration, count):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_updates_converge_to_the_printed_laws(seed):
-    learning = learning_settings(actor_weight_bound=1e3)
+    learning = learning_settings(actor_weight_bound=1e3, actor_gain=5.0)
     measured, sampled = samples(seed, 1), samples(seed + 100, 20)
     random = np.random.default_rng(seed)
     start = Weights(random.normal(size=SIZE), random.normal(size=SIZE))
@@ -267,7 +264,7 @@ def test_updates_converge_to_the_printed_laws(seed):
 
 @pytest.mark.parametrize("bound", [0.5, 1.0, 2.0])
 def test_updates_under_the_projection_converge_to_the_printed_laws(bound):
-    learning = learning_settings(actor_weight_bound=bound)
+    learning = learning_settings(actor_weight_bound=bound, actor_gain=5.0)
     measured, sampled = samples(5, 1), samples(6, 20, 0.7)
     start = Weights(np.full(SIZE, 2.0), np.full(SIZE, 0.1))
     duration = 0.6
@@ -347,13 +344,3 @@ def test_a_batch_of_weights_learns_as_single_ones_do():
         )
         np.testing.assert_allclose(together.critic[i], single.critic, rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(together.actor[i], single.actor, rtol=1e-12, atol=1e-13)
-
-
-def test_learning_starts_with_the_weights_of_the_settings():
-    critic, actor = tuple(range(SIZE)), tuple(range(SIZE, 0, -1))
-    learning = LearningSettings(
-        basis="paper", initial_critic_weights=critic, initial_actor_weights=actor
-    )
-    found = Weights.initial(learning)
-    assert found.critic.tolist() == list(critic)
-    assert found.actor.tolist() == list(actor)

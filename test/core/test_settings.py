@@ -68,9 +68,11 @@ REFUSALS = [
     ("samples_per_axis", [3, 3, 3, 0], "1"),
     ("samples_per_axis", [50, 50, 50, 1], "10000"),
     ("samples_per_axis", [10**30, 1, 1, 1], "50"),
-    ("initial_critic_weights", [0.0] * 8, "9"),
-    ("initial_actor_weights", [0.0] * 10, "9"),
-    ("initial_actor_weights", [], "9"),
+    ("basis", "paper", "path_state"),  # its terms of phi
+    ("basis_degree", 1, "2"),
+    ("sample_count", 100, "160"),
+    ("preview_distance", 0.3, "knot_spacing"),
+    ("wide_region_levels", [5.0, 4.5], "rise"),
     ("initial_critic_weights", [*NINE_ZEROS[1:], math.nan], "1e+06|number"),
     # costs
     ("state_cost", [1.0, 1.0], "3 or 9"),
@@ -128,6 +130,24 @@ def refused(tree, name, value, allowed):
 @pytest.mark.parametrize(("name", "value", "allowed"), REFUSALS, ids=refusal_ids(REFUSALS))
 def test_bad_settings_of_the_controller_are_refused(name, value, allowed):
     refused(Settings, name, value, allowed)
+
+
+@pytest.mark.parametrize("name", ["initial_critic_weights", "initial_actor_weights"])
+@pytest.mark.parametrize(
+    ("basis", "count", "needed"), [("paper", 8, 9), ("paper", 0, 9), ("polynomial", 9, 80)]
+)
+def test_listed_weights_must_fit_the_basis(name, basis, count, needed):
+    values = {"basis": basis, "scheduling": "path_state", "initial_weights": "listed"}
+    fitting = {
+        other: [0.0] * needed for other in ("initial_critic_weights", "initial_actor_weights")
+    }
+    with pytest.raises(SettingsError, match=rf"'{name}' has {count} values.* needs {needed}:"):
+        build(Settings, {**values, **fitting, name: [0.0] * count})
+    build(Settings, {**values, **fitting})
+
+
+def test_the_quadratic_weights_alone_will_do_for_a_polynomial():
+    build(Settings, {"initial_weights": "listed", "initial_critic_weights": [1.0] * 6})
 
 
 @pytest.mark.parametrize(
@@ -212,7 +232,9 @@ VALID = {
     "min_linear_vel": st.floats(max_value=0.0, allow_nan=False),
     "max_linear_vel": st.floats(min_value=1e-3, allow_nan=False),
     "learning": st.booleans(),
-    "basis": st.sampled_from(["paper", "paper_misprinted"]),
+    "basis_degree": st.integers(2, 6),
+    "frame": st.sampled_from(["serret_frenet", "half_angle"]),
+    "wide_region": st.sampled_from(["none", "riccati", "approach"]),
     "actor_gain": st.one_of(st.floats(0.0, 1e4), st.integers(0, 10_000)),
     "sample_half_widths": st.tuples(*[st.floats(1e-3, 0.9)] * 4),
     "samples_per_axis": st.tuples(*[st.integers(1, 10)] * 4),

@@ -1,0 +1,289 @@
+"""A value function whose weights change along the path, learned for what lies ahead.
+
+V(e, s_p) = w(s_p)^T sigma(e), with w linear between knots. The value function obeys
+
+    0 = min_u e^T Q e + u^T R u + V_e (f + g u) + V_{s_p} s_p',
+
+in which a place of the path is told what comes by the place ahead of it. So the learner goes
+backwards, knot by knot, from the Riccati solution at the end of its preview to the robot, and
+begins again: at each knot the critic takes the weights with the least Bellman errors for the
+actor's policy, and the actor follows. One control step works off a fixed number of samples, so
+its time is bounded however many samples and knots there are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from adp_path_follower.core.bellman import BellmanErrors
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.knot_model import KnotFit, KnotModel, NormalEquations, fit
+from adp_path_follower.core.learner import (
+    Learner,
+    LocalWeights,
+    Weights,
+    follow,
+    initial_weights,
+    relax,
+)
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.riccati import RiccatiSchedule
+from adp_path_follower.core.settings import Settings
+
+_MOST_KNOTS = 8192  # that are remembered: 5 MB for each of critic and actor
+# Sweeps reach further and further ahead after a reset: where the robot is comes first.
+_MOST_RESIDUAL = 0.5  # of the running cost: a critic that explains less is refused
+_LEAST_EXCITATION = 1e-12
+_CURVATURE_NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvature
+_MODEL = (  # settings that decide what is learned
+    "basis",
+    "basis_degree",
+    "frame",
+    "knot_spacing",
+    "preview_distance",
+    "sample_count",
+    "sample_half_widths",
+    "sample_seed",
+    "initial_weights",
+)
+
+
+class ArcLengthLearner:
+    """Learns the weights at the knots ahead of the robot, or of a batch of robots.
+
+    A batch shares the weights: samples know nothing of the robot, so each would learn the same.
+
+    Attributes:
+        problem: Why the Riccati policy has taken over somewhere, empty if it has not.
+
+    """
+
+    def __init__(self, settings: Settings, path: Path, riccati: RiccatiSchedule) -> None:
+        """Start from the initial weights of the settings everywhere."""
+        learning = settings.learning
+        self._settings, self._learning, self._path = settings, learning, path
+        self._riccati = riccati
+        self._model = KnotModel(settings)
+        self._size = len(learning.value_basis.labels)
+        count = max(1, math.ceil(path.length / learning.knot_spacing))
+        self._spacing = path.length / count if path.closed else learning.knot_spacing
+        self._window = max(2, round(learning.preview_distance / self._spacing))
+        # An open path goes on straight beyond its ends, for one preview.
+        self._first, self._last = (0, count - 1) if path.closed else (-self._window, count + 1)
+        self._last += 0 if path.closed else self._window
+        capacity = min(_MOST_KNOTS, self._last - self._first + 1)
+        self._critic = np.zeros((capacity, self._size))
+        self._actor = np.zeros((capacity, self._size))
+        self.reset()
+
+    def reset(self, where: np.ndarray | None = None) -> None:
+        """Return to the initial weights; of a batch, whose weights are shared, only as a whole."""
+        if where is not None:
+            return
+        self._owner = np.full(len(self._critic), np.iinfo(np.int64).min)
+        self._reach = 0
+        self._restart()
+        self._latest = KnotFit(np.zeros(self._size), 0.0, 0.0)
+        self.problem = ""
+
+    def _restart(self) -> None:
+        """Begin the next sweep at the next step."""
+        self._knot: int | None = None
+        self._near = 0
+        self._length = 0
+        self._refused = 0
+
+    @property
+    def sampled(self) -> KnotFit:
+        """Return what the samples said of the latest knot."""
+        return self._latest
+
+    def local(self, arc_length: FloatArray) -> LocalWeights:
+        """Return the weights at arc lengths [m] of any shape, and their slope along the path."""
+        position = arc_length / self._spacing
+        knot = np.floor(position)
+        share = (position - knot)[..., None]
+        knot = knot.astype(np.int64)
+        here, ahead = self._slots(knot), self._slots(knot + 1)
+        critic, actor = self._critic[here], self._actor[here]
+        critic_step = self._critic[ahead] - critic
+        actor = actor + share * (self._actor[ahead] - actor)
+        critic = critic + share * critic_step
+        slope = critic_step / self._spacing
+        sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
+        if not sound.all():
+            safe = self._safe(self._path.curvature(arc_length))
+            sound = sound[..., None]
+            critic, actor = np.where(sound, critic, safe), np.where(sound, actor, safe)
+            slope = np.where(sound, slope, 0.0)
+        return LocalWeights(Weights(critic, actor), slope)
+
+    def learn(self, measured: BellmanErrors, arc_length: FloatArray, dt: float) -> None:
+        """Let the actor follow for dt [s], and work off some samples of the knot whose turn it is.
+
+        Args:
+            measured: Unused: what is learned at samples holds at the measured state as well.
+            arc_length: Where the robots' targets are [m], any shape.
+            dt: Period [s].
+
+        """
+        near = math.floor(arc_length.min() / self._spacing)
+        robots = math.floor(arc_length.max() / self._spacing) + 1
+        if self._knot is None:
+            self._begin(near, robots + self._reach)
+            self._reach = min(2 * self._reach + 1, self._window)
+        self._work(self._learning.samples_per_step, dt)
+        self._follow(near, robots + self._window, dt)
+
+    def settle(
+        self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
+    ) -> bool:
+        """Learn all that lies ahead; return whether the weights settled.
+
+        Args:
+            measure: Unused, as in `learn`.
+            arc_length: Where the targets are [m], any shape.
+            distance: How far ahead of them [m].
+
+        """
+        near = math.floor(arc_length.min() / self._spacing) - self._window
+        far = math.ceil((arc_length.max() + distance) / self._spacing) + self._window
+        if self._path.closed:
+            far = min(far, near + self._last + 1 + self._window)
+        far = min(far, near + len(self._critic))
+        slots = self._slots(np.arange(near, far))
+        self._begin(near, far)
+        while self._knot is not None:
+            self._work(len(self._model), math.inf)
+        self._actor[slots] = self._critic[slots]
+        self._reach = self._window
+        return not self.problem
+
+    def take_over(self, previous: Learner) -> None:
+        """Take over the weights of a learner of the same path and problem."""
+        if not isinstance(previous, ArcLengthLearner) or previous._path is not self._path:
+            return
+        old, new = previous._settings, self._settings
+        if (old.target, old.cost, old.limits) != (new.target, new.cost, new.limits):
+            return
+        if any(getattr(old.learning, name) != getattr(new.learning, name) for name in _MODEL):
+            return
+        self._critic, self._actor = previous._critic, previous._actor
+        self._owner, self._reach = previous._owner, previous._reach
+
+    def _begin(self, near: int, far: int) -> None:
+        """Begin a sweep from the Riccati solution at knot `far` down to knot `near`."""
+        self._near, self._length, self._refused = near, far - near, 0
+        self._ahead = self._safe(self._curvature(np.array([far])))[0]
+        self._take(far - 1)
+
+    def _take(self, knot: int) -> None:
+        """Turn to a knot."""
+        self._knot = knot
+        self._slot = int(self._slots(np.array([knot]))[0])
+        self._knot_curvature = float(self._curvature(np.array([knot]))[0])
+        self._done, self._time = 0, 0.0
+        self._equations: NormalEquations | None = None
+
+    def _work(self, samples: int, dt: float) -> None:
+        """Work off some samples of the present knot, and go on to the next when all are done."""
+        assert self._knot is not None  # `_begin` took one
+        end = min(self._done + samples, len(self._model))
+        part = self._model.equations(
+            slice(self._done, end),
+            self._ahead,
+            self._knot_curvature,
+            self._spacing,
+        )
+        self._equations = part if self._equations is None else self._equations + part
+        self._done, self._time = end, self._time + dt
+        if end < len(self._model):
+            return
+        self._finish(self._equations)
+        if self._knot > self._near:
+            self._take(self._knot - 1)
+            return
+        if not self._refused:
+            self.problem = ""
+        self._knot = None
+
+    def _finish(self, equations: NormalEquations) -> None:
+        """Take over the critic of the present knot, or the Riccati solution in its place."""
+        self._latest = fit(equations)
+        self.problem_here = self._refusal(self._latest)
+        if self.problem_here:
+            self._refused += 1
+            self.problem = self.problem_here
+            safe = self._safe(np.array([self._knot_curvature]))[0]
+            self._critic[self._slot] = self._actor[self._slot] = self._ahead = safe
+            return
+        critic = self._latest.critic_weights
+        if self._learning.critic == "gradient":
+            critic = self._descended(equations)
+        self._critic[self._slot] = self._ahead = critic
+
+    def _descended(self, equations: NormalEquations) -> FloatArray:
+        """Return the critic after the gradient law, over the time since the knot's last turn."""
+        gain = self._learning.critic_gain_sampled / len(self._model)
+        critic = self._critic[self._slot]
+        descent = gain * (equations.matrix @ critic + equations.vector)
+        elapsed = min(self._time * self._length, 1e3)
+        return np.asarray(critic - relax(gain * equations.matrix, descent, elapsed))
+
+    def _refusal(self, found: KnotFit) -> str:
+        """Return why a critic is not to be trusted, empty if it is."""
+        bound = self._learning.actor_weight_bound
+        norm = float(np.linalg.norm(found.critic_weights))
+        if not math.isfinite(norm) or found.excitation < _LEAST_EXCITATION:
+            return "the samples do not determine the weights (excitation certificate is zero)"
+        if norm > bound:
+            return f"the critic's weights have norm {norm:.3g}, above actor_weight_bound {bound:g}"
+        if not found.residual <= _MOST_RESIDUAL:
+            return (
+                f"the Bellman errors at the samples are {found.residual:.0%} of the running cost, "
+                f"above {_MOST_RESIDUAL:.0%}"
+            )
+        return ""
+
+    def _follow(self, near: int, far: int, dt: float) -> None:
+        """Let the actor follow the critic at the knots from `near` up to `far`."""
+        slots = self._slots(np.arange(near, far))
+        actor = follow(self._actor[slots], self._critic[slots], self._learning, dt)
+        sound = np.isfinite(actor).all(axis=-1)
+        if not sound.all():
+            self.problem = "weights are not finite"
+            self._refused += 1
+            self._owner[slots[~sound]] = np.iinfo(np.int64).min
+            self._slots(np.arange(near, far))
+            self._restart()
+            return
+        self._actor[slots] = actor
+
+    def _slots(self, knots: np.ndarray) -> np.ndarray:
+        """Return where knots of any shape are stored, with initial weights if they are new."""
+        if self._path.closed:
+            number = knots % (self._last + 1)
+        else:
+            number = np.minimum(np.maximum(knots, self._first), self._last)
+        slots = number % len(self._owner)
+        new = self._owner[slots] != number
+        if new.any():
+            numbers, places = np.unique(number[new]), np.unique(slots[new])
+            places = numbers % len(self._owner)
+            weights = initial_weights(self._learning, self._riccati, self._curvature(numbers))
+            self._critic[places], self._actor[places] = weights.critic, weights.actor
+            self._owner[places] = numbers
+        return np.asarray(slots)
+
+    def _curvature(self, knots: np.ndarray) -> FloatArray:
+        """Return the mean curvature [1/m] about each knot, shape (K,)."""
+        arc_length = (knots[:, None] + _CURVATURE_NODES) * self._spacing
+        return np.asarray(self._path.curvature(arc_length).mean(axis=1))
+
+    def _safe(self, curvature: FloatArray) -> FloatArray:
+        """Return the weights of the Riccati solution at curvatures (...), shape (..., L)."""
+        basis = self._learning.value_basis
+        return basis.quadratic_weights(self._riccati.matrix(curvature))

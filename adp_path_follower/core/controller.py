@@ -1,0 +1,103 @@
+"""What every path-following controller here has in common: the virtual target and its error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path, PathFrame
+from adp_path_follower.core.settings import CostSettings, Settings, TargetSettings
+
+
+@dataclass(frozen=True)
+class ControlOutput:
+    """What one control step gives; arrays have the leading axes of the pose.
+
+    Attributes:
+        command: [v, w] to apply [m/s, rad/s], shape (..., 2).
+        modified_input: u = [v_e, w_e], the command less its feedforward, shape (..., 2).
+        error: e = [s, y, theta] [m, m, rad], shape (..., 3).
+        target_pose: Pose of the virtual target, shape (..., 3).
+        arc_length: s_p [m], shape (...).
+        curvature: kappa at the target [1/m], shape (...).
+
+    """
+
+    command: FloatArray
+    modified_input: FloatArray
+    error: FloatArray
+    target_pose: FloatArray
+    arc_length: FloatArray
+    curvature: FloatArray
+
+
+class Controller(Protocol):
+    """A controller that follows a path: one robot, or a batch of robots by leading axes."""
+
+    settings: Settings
+    path: Path
+
+    def step(self, pose: FloatArray, dt: float) -> ControlOutput:
+        """Return the command for poses [x, y, theta], shape (..., 3), after dt [s]."""
+
+
+class VirtualTarget:
+    """The target that moves along the path by s_p' = v_des cos(theta) + k1 s.
+
+    Attributes:
+        arc_length: s_p [m], shape (...).
+
+    """
+
+    def __init__(self, path: Path, target: TargetSettings, arc_length: ArrayLike = 0.0) -> None:
+        """Start at arc lengths [m] of the path."""
+        self.arc_length = np.asarray(arc_length, dtype=float)
+        self._path, self._target = path, target
+        self._previous_error: FloatArray | None = None
+
+    def hold(self) -> None:
+        """Let no time pass in the next `move`."""
+        self._previous_error = None
+
+    def copy(self, target: TargetSettings) -> VirtualTarget:
+        """Return a target at the same place that moves by other settings."""
+        other = VirtualTarget(self._path, target, self.arc_length)
+        other._previous_error = self._previous_error
+        return other
+
+    def move(self, pose: FloatArray, dt: float) -> tuple[PathFrame, FloatArray]:
+        """Move over the past period dt [s]; return the frame there and the error e (..., 3).
+
+        Heun's method: s_p' is taken at both ends of the period, where the robot was observed.
+        """
+        if self.arc_length.shape != pose.shape[:-1]:  # one start for a batch
+            self.arc_length = np.broadcast_to(self.arc_length, pose.shape[:-1])
+        if self._previous_error is not None and dt > 0.0:
+            speed_before = error_dynamics.target_speed(self._previous_error, self._target)
+            guess = self.arc_length + dt * speed_before
+            error = error_dynamics.tracking_error(pose, self._path.frame(guess).pose)
+            speed_after = error_dynamics.target_speed(error, self._target)
+            self.arc_length = self.arc_length + 0.5 * dt * (speed_before + speed_after)
+        frame = self._path.frame(self.arc_length)
+        self._previous_error = error_dynamics.tracking_error(pose, frame.pose)
+        return frame, self._previous_error
+
+
+class RunningCost:
+    """The running cost e^T Q e + u^T R u."""
+
+    def __init__(self, cost: CostSettings) -> None:
+        """Take Q and R."""
+        self.state_cost = cost.state_cost_matrix()
+        self.input_cost = cost.input_cost_matrix()
+
+    def __call__(self, error: FloatArray, modified_input: FloatArray) -> FloatArray:
+        """Return the running cost of errors (..., 3) and inputs (..., 2), shape (...)."""
+        state = (error @ self.state_cost * error).sum(axis=-1)
+        control = (modified_input @ self.input_cost * modified_input).sum(axis=-1)
+        return np.asarray(state + control)

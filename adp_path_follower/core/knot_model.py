@@ -1,0 +1,180 @@
+"""Bellman errors at scattered sampled states, for weights that change along the path.
+
+With V(e, s_p) = w(s_p)^T sigma(e), and w linear between knots a distance h apart, the Bellman
+error of the knot at s_p is
+
+    delta = e^T Q e + u^T R u + w^T omega + (w_ahead - w)^T sigma s_p' / h,
+    omega = sigma'(e) (f(e, kappa) + g(e) u),
+
+linear in the knot's weights w once those of the knot ahead are known. f is affine in the
+curvature, so what is prepared once serves every knot of every path.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
+from scipy.stats import qmc
+
+from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.policy import saturate
+from adp_path_follower.core.settings import Settings
+
+_INNER_SHARE = 0.3  # of the samples: scaled towards the origin, where the linear policy is decided
+_INNERMOST = 0.05  # of the region: the smallest of these scales
+_RIDGE = 1e-9  # on the normal equations' unit diagonal
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Weighted sums over samples for min_w sum_j c_j (r_j + w^T x_j)^2.
+
+    Attributes:
+        matrix: sum_j c_j x_j x_j^T, shape (L, L).
+        vector: sum_j c_j r_j x_j, shape (L,).
+        offset: sum_j c_j r_j^2.
+        running_cost: sum_j c_j (e^T Q e + u^T R u)^2, what the residual is compared with.
+
+    """
+
+    matrix: FloatArray
+    vector: FloatArray
+    offset: float
+    running_cost: float
+
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        """Return the sums over the samples of both."""
+        return NormalEquations(
+            self.matrix + other.matrix,
+            self.vector + other.vector,
+            self.offset + other.offset,
+            self.running_cost + other.running_cost,
+        )
+
+
+@dataclass(frozen=True)
+class KnotFit:
+    """The weights of one knot with the least Bellman errors.
+
+    Attributes:
+        critic_weights: Shape (L,); not finite where the samples do not determine them.
+        residual: Root of the weighted mean square Bellman error over that of the running cost.
+        excitation: A lower bound of the smallest singular value of the rank condition's matrix,
+            scaled to a unit diagonal.
+
+    """
+
+    critic_weights: FloatArray
+    residual: float
+    excitation: float
+
+
+def fit(equations: NormalEquations) -> KnotFit:
+    """Return the solution of the normal equations, by Cholesky's method."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(equations.matrix), 1e-300))
+    scaled = equations.matrix * scale[:, None] * scale
+    scaled[np.diag_indices_from(scaled)] += _RIDGE
+    norm = float(np.abs(scaled).sum(axis=0).max())
+    factor, failed = dpotrf(scaled, lower=1)
+    if failed or not math.isfinite(norm):
+        return KnotFit(np.full(len(scale), np.nan), math.inf, 0.0)
+    reciprocal_condition, _ = dpocon(factor, norm, uplo="L")
+    solution, _ = dpotrs(factor, -equations.vector * scale, lower=1)
+    weights = solution * scale
+    remaining = weights @ equations.matrix @ weights + 2.0 * weights @ equations.vector
+    squared = max(float(remaining) + equations.offset, 0.0)
+    return KnotFit(
+        critic_weights=weights,
+        residual=math.sqrt(squared / max(equations.running_cost, 1e-300)),
+        excitation=float(reciprocal_condition) * norm,
+    )
+
+
+class KnotModel:
+    """The model of the error dynamics at scattered sampled states."""
+
+    def __init__(self, settings: Settings) -> None:
+        """Prepare what depends neither on weights nor on the path, at N samples."""
+        learning = settings.learning
+        self.states = scattered_samples(
+            learning.sample_count, learning.sample_half_widths[:3], learning.sample_seed
+        )
+        zeta = np.column_stack([self.states, np.zeros(len(self.states))])
+        basis, target = learning.value_basis, settings.target
+        gradient = basis.gradient(zeta)
+        nowhere = np.zeros(len(zeta))
+        straight = error_dynamics.drift(zeta, nowhere, target)
+        turning = error_dynamics.drift(zeta, nowhere + 1.0, target) - straight
+        self._straight = np.einsum("nlz,nz->nl", gradient, straight)  # sigma' f at kappa = 0
+        self._turning = np.einsum("nlz,nz->nl", gradient, turning)  # its change with kappa
+        input_gradient = np.matmul(gradient, error_dynamics.input_matrix(zeta))
+        self._linear = np.ascontiguousarray(input_gradient[..., 0])  # sigma' g, (N, L) each
+        self._angular = np.ascontiguousarray(input_gradient[..., 1])
+        speed = error_dynamics.target_speed(zeta, target)
+        self._passing = basis.value(zeta) * speed[:, None]  # sigma s_p'
+        self._target, self._limits = target, settings.limits
+        self._input_cost = settings.cost.input_cost_matrix()
+        self._half_inverse = -0.5 * np.linalg.inv(self._input_cost)
+        self._state_cost = np.einsum(
+            "ni,ij,nj->n", self.states, settings.cost.state_cost_matrix(), self.states
+        )
+        # V grows with the square of the distance: relative errors count alike at any distance.
+        radius = np.linalg.norm(self.states / learning.sample_half_widths[:3], axis=1)
+        self._importance = radius**-4.0
+
+    def __len__(self) -> int:
+        """Return the number of samples N."""
+        return len(self.states)
+
+    def equations(
+        self,
+        samples: slice,
+        ahead: FloatArray,
+        curvature: float,
+        spacing: float,
+    ) -> NormalEquations:
+        """Return the normal equations of a knot's critic weights over some of the samples.
+
+        Args:
+            samples: Which samples.
+            ahead: Wc of the knot ahead, whose policy is evaluated, shape (L,).
+            curvature: kappa [1/m] of the path at the knot.
+            spacing: Distance h to the knot ahead [m].
+
+        """
+        linear, angular = self._linear[samples], self._angular[samples]
+        descent = np.stack([linear @ ahead, angular @ ahead], axis=-1)
+        inputs = descent @ self._half_inverse
+        if not self._limits.unlimited:
+            feedforward = error_dynamics.feedforward(np.asarray(curvature), self._target)
+            inputs = saturate(inputs, feedforward, self._limits)
+        regressor = self._straight[samples] + curvature * self._turning[samples]
+        regressor += inputs[:, :1] * linear
+        regressor += inputs[:, 1:] * angular
+        importance = self._importance[samples] / (1.0 + np.einsum("nl,nl->n", regressor, regressor))
+        running_cost = self._state_cost[samples] + (inputs @ self._input_cost * inputs).sum(axis=1)
+        passing = self._passing[samples] / spacing
+        constant = running_cost + passing @ ahead
+        regressor -= passing
+        weighted = regressor * importance[:, None]
+        return NormalEquations(
+            matrix=weighted.T @ regressor,
+            vector=constant @ weighted,
+            offset=float(importance @ (constant * constant)),
+            running_cost=float(importance @ (running_cost * running_cost)),
+        )
+
+
+def scattered_samples(count: int, half_widths: tuple[float, ...], seed: int) -> FloatArray:
+    """Return states e scattered over a box about the origin, shape (count, 3).
+
+    A scrambled Sobol sequence, of which a share is scaled towards the origin.
+    """
+    points = qmc.Sobol(4, seed=seed).random(2 ** math.ceil(math.log2(count)))[:count]
+    inner = points[:, 3] / _INNER_SHARE
+    scale = np.where(inner < 1.0, _INNERMOST**inner, 1.0)
+    return np.asarray((2.0 * points[:, :3] - 1.0) * half_widths * scale[:, None])

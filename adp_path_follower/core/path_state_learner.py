@@ -1,0 +1,109 @@
+"""The paper's learner: one set of weights for the whole path, which the basis knows by phi."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from adp_path_follower.core.bellman import BellmanErrors, SampledModel
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learner import (
+    Learner,
+    LocalWeights,
+    Weights,
+    follow,
+    initial_weights,
+    least_squares,
+    update_weights,
+)
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.riccati import RiccatiSchedule
+from adp_path_follower.core.settings import Settings
+
+_REST_STEP = 0.1  # [s] of learning at rest
+_REST_STEPS = 6000
+_SETTLED_CHANGE = 1e-9
+
+
+class PathStateLearner:
+    """Learns from the measured state and from a grid of samples, all of them in every step.
+
+    Attributes:
+        weights: Critic and actor weights, shape (..., L) each.
+        problem: Always empty: the printed laws have no safe policy to fall back on.
+
+    """
+
+    problem = ""
+
+    def __init__(
+        self, settings: Settings, path: Path, riccati: RiccatiSchedule, weights: Weights | None
+    ) -> None:
+        """Start from weights, by default from the initial ones of the settings."""
+        self._learning = settings.learning
+        self._model = SampledModel(settings, path)
+        self._initial = initial_weights(settings.learning, riccati, np.zeros(()))
+        self.weights = self._initial if weights is None else weights
+        self._swept: tuple[Weights, BellmanErrors] | None = None
+
+    @property
+    def sampled(self) -> BellmanErrors:
+        """Return the Bellman errors of the present weights at the samples."""
+        if self._swept is None or self._swept[0] is not self.weights:
+            found = self._model.sweep(self.weights.critic, self.weights.actor)
+            self._swept = (self.weights, found)
+        return self._swept[1]
+
+    def local(self, arc_length: FloatArray) -> LocalWeights:
+        """Return the weights, which are the same everywhere."""
+        return LocalWeights(self.weights)
+
+    def learn(self, measured: BellmanErrors, arc_length: FloatArray, dt: float) -> None:
+        """Learn for dt [s] from the Bellman errors at the measured state and at the samples."""
+        if dt <= 0.0:
+            return
+        if self._learning.critic == "gradient":
+            self.weights = update_weights(self.weights, measured, self.sampled, self._learning, dt)
+            return
+        critic = least_squares(self.weights, self.sampled)
+        actor = follow(self.weights.actor, critic, self._learning, dt)
+        self.weights = Weights(critic, actor)
+
+    def settle(
+        self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
+    ) -> bool:
+        """Learn with the robot at rest; return whether the weights settled.
+
+        Args:
+            measure: Gives the Bellman error of the present weights where the robot is.
+            arc_length: Where the targets are [m], any shape.
+            distance: Unused: the weights are the same everywhere.
+
+        """
+        for _ in range(_REST_STEPS):
+            before = self.weights
+            self.learn(measure(), arc_length, _REST_STEP)
+            change = np.abs(self.weights.critic - before.critic).max()
+            change = max(change, np.abs(self.weights.actor - before.actor).max())
+            if change < _SETTLED_CHANGE:
+                return True
+        return False
+
+    def take_over(self, previous: Learner) -> None:
+        """Take over the weights of another learner with the same basis."""
+        if isinstance(previous, PathStateLearner) and (
+            previous._learning.value_basis is self._learning.value_basis
+        ):
+            self.weights = previous.weights
+
+    def reset(self, where: np.ndarray | None = None) -> None:
+        """Return to the initial weights, of the runs of a batch where (...) is true."""
+        if where is None:
+            self.weights = self._initial
+            return
+        lost = where[..., None]
+        self.weights = Weights(
+            np.where(lost, self._initial.critic, self.weights.critic),
+            np.where(lost, self._initial.actor, self.weights.actor),
+        )

@@ -1,0 +1,73 @@
+"""The policy far from the path, where nothing is learned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adp_path_follower.core.basis import make_basis
+from adp_path_follower.core.error_dynamics import input_matrix
+from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.policy import actor_input, saturate
+from adp_path_follower.core.riccati import RiccatiSchedule
+from adp_path_follower.core.settings import Settings
+
+
+class WideRegion:
+    """A policy that takes over from the learned one outside the region of the samples."""
+
+    def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
+        """Take levels, limits and kind from the settings."""
+        self._policy = settings.policy
+        self._half_widths = np.array(settings.learning.sample_half_widths[:3])
+        self._limits = settings.limits
+        self._riccati = riccati
+        inverse = np.linalg.inv(settings.cost.input_cost_matrix())
+        self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
+        self._basis = make_basis("polynomial", 2, "half_angle")
+
+    def blend(
+        self,
+        learned: FloatArray,
+        zeta: FloatArray,
+        curvature: FloatArray,
+        feedforward: FloatArray,
+    ) -> FloatArray:
+        """Return the modified input, shape (..., 2), learned near the path and this far from it.
+
+        Args:
+            learned: The learned policy's input, within the limits, shape (..., 2).
+            zeta: States, shape (..., 4).
+            curvature: kappa at the target [1/m], shape (...).
+            feedforward: [v_ss, w_ss], shape (..., 2).
+
+        """
+        level = np.abs(zeta[..., :3] / self._half_widths).max(axis=-1)
+        start, end = self._policy.wide_region_levels
+        if not (level > start).any():
+            return learned
+        matrix = self._riccati.matrix(curvature)
+        share = np.clip((level - start) / (end - start), 0.0, 1.0)
+        share = (share * share * (3.0 - 2.0 * share))[..., None]
+        wide = self._approach if self._policy.wide_region == "approach" else self._quadratic
+        far = saturate(wide(zeta, matrix), feedforward, self._limits)
+        return np.asarray((1.0 - share) * learned + share * far)
+
+    def _quadratic(self, zeta: FloatArray, matrix: FloatArray) -> FloatArray:
+        """Return the Riccati policy in the half-angle frame, shape (..., 2)."""
+        input_gradient = np.matmul(self._basis.gradient(zeta), input_matrix(zeta))
+        weights = self._basis.quadratic_weights(matrix)
+        return actor_input(weights, input_gradient, self._input_cost_inverse)
+
+    def _approach(self, zeta: FloatArray, matrix: FloatArray) -> FloatArray:
+        """Return the Riccati law whose lateral part saturates into an approach angle, (..., 2).
+
+        Its steering, -(P_yθ y + P_θθ θ) / R near the path, steers towards the heading
+        -P_yθ y / P_θθ; limiting that heading below a right angle leaves no place from which a
+        robot that cannot reverse would wait for ever.
+        """
+        s, y, theta = (zeta[..., axis] for axis in range(3))
+        slope = matrix[..., 1, 2] / matrix[..., 2, 2]
+        widest = self._policy.approach_angle
+        off_course = wrap_angle(theta + widest * np.tanh(slope * y / widest))
+        pull = np.stack([matrix[..., 0, 0] * s, matrix[..., 2, 2] * off_course], axis=-1)
+        return np.asarray(-pull @ self._input_cost_inverse)
