@@ -29,7 +29,7 @@ setup(
     maintainer="adp_path_follower maintainers",
     maintainer_email="maintainers@adp-path-follower.example.org",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sim_unicycle"]),
-    package_data={NAME: ["py.typed", "data/*.json"], "sim_unicycle": ["py.typed"]},
+    package_data={NAME: ["py.typed", "data/*.json", "data/*.csv"], "sim_unicycle": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

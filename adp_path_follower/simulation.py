@@ -70,6 +70,7 @@ class SimulationResult:
     Attributes:
         starts: Initial errors [s, y, theta], shape (B, 3).
         cost: J over the run, integrated along the true motion, shape (B,).
+        effort: The inputs' part of it, the integral of u^T R u by control steps, shape (B,).
         final_error: e at the end, shape (B, 3).
         settling_time: Time after which |e| stays below 0.05 [s], infinite where it does not (B,).
         max_inputs: Largest |v| and |w| commanded, shape (B, 2).
@@ -84,6 +85,7 @@ class SimulationResult:
 
     starts: FloatArray
     cost: FloatArray
+    effort: FloatArray
     final_error: FloatArray
     settling_time: FloatArray
     max_inputs: FloatArray
@@ -197,7 +199,8 @@ class _ClosedLoop:
         last_outside = np.full(count, -1)
         max_inputs = np.zeros((count, 2))
         excitation = np.full(count, math.inf)
-        cost = np.zeros(count)
+        cost, effort = np.zeros(count), np.zeros(count)
+        running_cost = RunningCost(self._settings.cost)
         step_times = np.zeros(steps + 1)
         for step in range(steps + 1):
             begun = time.perf_counter()
@@ -215,10 +218,12 @@ class _ClosedLoop:
             if step < steps:
                 max_inputs = np.maximum(max_inputs, np.abs(command))
                 cost += self._move(output.arc_length, command, period)
+                effort += period * running_cost(np.zeros((count, 3)), output.modified_input)
         settling_time = np.where(last_outside < steps, (last_outside + 1) * period, math.inf)
         return SimulationResult(
             starts=self._starts,
             cost=np.where(self._failed, math.nan, cost),
+            effort=np.where(self._failed, math.nan, effort),
             final_error=np.where(self._failed[:, None], math.nan, output.error),
             settling_time=np.where(self._failed, math.inf, settling_time),
             max_inputs=max_inputs,
@@ -353,6 +358,7 @@ def _joined(blocks: list[SimulationResult]) -> SimulationResult:
     return SimulationResult(
         starts=joined(lambda block: block.starts),
         cost=joined(lambda block: block.cost),
+        effort=joined(lambda block: block.effort),
         final_error=joined(lambda block: block.final_error),
         settling_time=joined(lambda block: block.settling_time),
         max_inputs=joined(lambda block: block.max_inputs),

@@ -12,6 +12,7 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.threads import use_one_blas_thread
 
 _COMMANDS = {
+    "compare": "Compare the controller with its peers, and all with the offline optimum.",
     "demo": "Drive the paper's figure eight with real ROS 2 nodes.",
     "optimum": "Find what the best controller would cost, by offline optimal control.",
     "paper": "Reproduce the paper's figures, and what they do not show.",

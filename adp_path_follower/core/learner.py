@@ -187,6 +187,8 @@ def project(step: FloatArray, actor_weights: FloatArray, bound: float) -> FloatA
     around it the outward part of the step fades out, and is gone at its outer edge.
     """
     squared_norm = np.einsum("...l,...l->...", actor_weights, actor_weights)
+    if squared_norm.max(initial=0.0) <= bound**2:
+        return step
     outer = (1.0 + _PROJECTION_LAYER) * bound
     depth = np.clip((squared_norm - bound**2) / (outer**2 - bound**2), 0.0, 1.0)
     outward = np.einsum("...l,...l->...", actor_weights, step)

@@ -15,6 +15,7 @@ from scipy.integrate import solve_bvp
 
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.riccati import riccati_solution
 from adp_path_follower.optimum.problem import Motion, OptimumError, Problem
 
 _CURVATURE_STEP = 1e-4  # [m] of the central difference that gives the change of curvature
@@ -48,7 +49,8 @@ def solve_costates(problem: Problem, motion: Motion) -> Extremal:
     start = motion.state[0]
     unknown = np.zeros((9, len(motion.time)))
     unknown[:4] = motion.state.T
-    unknown[4:7] = 2.0 * problem.riccati() @ motion.state[:, :3].T
+    terminal = riccati_solution(0.0, problem.settings.target, problem.settings.cost)
+    unknown[4:7] = 2.0 * terminal @ motion.state[:, :3].T
     result = solve_bvp(
         lambda _, values: _rates(problem, values),
         lambda first, last: np.concatenate([first[:4] - start, last[4:8], first[8:]]),

@@ -8,13 +8,13 @@ from typing import Any
 
 import casadi
 import numpy as np
-from scipy.linalg import solve_continuous_are
 
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.policy import saturate
+from adp_path_follower.core.riccati import riccati_solution
 from adp_path_follower.core.settings import Settings
 
 _MARGIN = 10.0  # [m] of path behind and ahead of what the desired speed covers
@@ -95,25 +95,11 @@ class Problem:
             motions.append(Motion(math.inf, time, state, np.zeros((len(time), 2))))
         return [self._riccati_motion(start, time), *motions]
 
-    def riccati(self) -> FloatArray:
-        """Return P of the value e^T P e near a straight path, shape (3, 3)."""
-        target = self.settings.target
-        drift = np.zeros((3, 3))
-        drift[0, 0], drift[1, 2] = -target.target_gain, target.desired_speed
-        inputs = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
-        try:
-            solution = solve_continuous_are(drift, inputs, self.state_cost, self.input_cost)
-        except (ValueError, np.linalg.LinAlgError):
-            # A state that costs nothing has no stabilising solution; a small cost gives a guess.
-            solution = solve_continuous_are(
-                drift, inputs, self.state_cost + 1e-3 * np.eye(3), self.input_cost
-            )
-        return np.asarray(solution)
-
     def _riccati_motion(self, start: FloatArray, time: FloatArray) -> Motion:
         """Return the motion of the Riccati policy, with its errors bounded to stay a guess."""
         target, limits = self.settings.target, self.settings.limits
-        gain = np.linalg.solve(self.input_cost, self.riccati()[[0, 2]])
+        solution = riccati_solution(0.0, target, self.settings.cost)
+        gain = np.linalg.solve(self.input_cost, solution[[0, 2]])
         fine = np.arange(0.0, time[-1] + 0.02, 0.02)
         state = np.empty((len(fine), 4))
         inputs = np.empty((len(fine), 2))

@@ -1,0 +1,121 @@
+"""Figures of the comparison with the peers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from adp_path_follower.analysis.style import COLORS, STYLE
+from adp_path_follower.comparison import Comparison, Outcome
+
+_LEAST_LOSS = 1e-6  # of J*: what is drawn for less, and for less than nothing
+_OWN = ("adp", "adp_cold")
+
+
+def draw_comparison(found: Comparison, directory: Path) -> list[Path]:
+    """Draw cost, cross-track error and computing time of one path; return the PNG files."""
+    drawings = {
+        "cost.png": _cost,
+        "cross_track.png": _cross_track,
+        "cost_per_step.png": _cost_per_step,
+    }
+    directory.mkdir(parents=True, exist_ok=True)
+    files = []
+    with mpl.rc_context(STYLE):
+        for name, draw in drawings.items():
+            files.append(directory / name)
+            draw(found).savefig(files[-1], bbox_inches="tight")
+    return files
+
+
+def _color(name: str) -> str:
+    if name in _OWN:
+        return COLORS[1]
+    return {"nmpc": COLORS[0], "lqr": COLORS[2], "paper": COLORS[3]}.get(name, "0.45")
+
+
+def _cost(found: Comparison) -> Figure:
+    """Draw each start's loss J/J* - 1, the controllers in the order of their medians."""
+    ranked = sorted(found.outcomes, key=lambda outcome: -outcome.quantile(0.5))
+    figure = Figure(figsize=(8.5, 0.45 * len(ranked) + 1.6))
+    axes: Axes = figure.subplots()
+    random = np.random.default_rng(0)  # of the jitter, so that the same numbers look the same
+    for row, outcome in enumerate(ranked):
+        loss = np.maximum(outcome.cost_ratio[np.isfinite(outcome.cost_ratio)] - 1.0, _LEAST_LOSS)
+        jitter = random.uniform(-0.2, 0.2, len(loss))
+        axes.plot(loss, row + jitter, ".", color=_color(outcome.name), alpha=0.5, markersize=5)
+        if len(loss):
+            axes.plot(np.median(loss), row, "|", color="k", markersize=14, markeredgewidth=2)
+        failures = int(outcome.failed.sum())
+        if failures:
+            axes.annotate(
+                f"{failures} failed",
+                (1.0, row),
+                xycoords=("axes fraction", "data"),
+                ha="right",
+                va="center",
+            )
+    axes.set_yticks(range(len(ranked)), [outcome.name for outcome in ranked])
+    axes.set_xscale("log")
+    axes.set_xlabel("loss J/J* − 1 of each start (bar: median)")
+    axes.set_title(
+        f"Cost beside the offline optimum, {len(found.starts)} starts, {found.path_name}"
+    )
+    return figure
+
+
+def _cross_track(found: Comparison) -> Figure:
+    """Draw the distance from the path over the lap, the best controllers apart."""
+    figure = Figure(figsize=(9.0, 6.0))
+    panels = figure.subplots(2, 1, sharex=True)
+    ranked = sorted(found.outcomes, key=_tracking)
+    best = [outcome for outcome in ranked if _tracking(outcome) < 2e-3]
+    others = [outcome for outcome in ranked if _tracking(outcome) >= 2e-3]
+    for axes, group, unit, factor in (
+        (panels[0], best[:6], "mm", 1e3),
+        (panels[1], others[:6], "cm", 1e2),
+    ):
+        for color, outcome in zip(COLORS, group, strict=False):
+            label = f"{outcome.name}, RMS {factor * outcome.cross_track_rms:.2g} {unit}"
+            axes.plot(
+                outcome.lap_time,
+                factor * outcome.cross_track,
+                color=color,
+                linewidth=1,
+                label=label,
+            )
+        axes.set_ylabel(f"cross-track error [{unit}]")
+        if group:
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+    panels[0].set_title(f"One lap after 10 s, {found.path_name}: below and above 2 mm RMS")
+    panels[1].set_xlabel("time [s]")
+    return figure
+
+
+def _tracking(outcome: Outcome) -> float:
+    rms = outcome.cross_track_rms
+    return rms if math.isfinite(rms) else math.inf
+
+
+def _cost_per_step(found: Comparison) -> Figure:
+    """Draw loss against the computing time of a control step."""
+    figure = Figure(figsize=(7.0, 4.5))
+    axes: Axes = figure.subplots()
+    for outcome in found.outcomes:
+        loss = outcome.quantile(0.95) - 1.0
+        if not math.isfinite(loss):
+            continue
+        place = (1e3 * outcome.step_time, max(loss, _LEAST_LOSS))
+        axes.plot(*place, "o", color=_color(outcome.name))
+        axes.annotate(outcome.name, place, textcoords="offset points", xytext=(5, 4), fontsize=8)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("computing time of one control step [ms], this machine")
+    axes.set_ylabel("loss J/J* − 1, 95th percentile")
+    axes.set_title(f"Cost against computing time, {found.path_name}")
+    return figure

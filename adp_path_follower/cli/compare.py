@@ -1,0 +1,196 @@
+"""`adp compare`: the controller beside its peers."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from adp_path_follower.cli.options import (
+    FILE,
+    collect_starts,
+    new_directory,
+    progress_bar,
+    settings_options,
+    start_options,
+    write_json,
+)
+from adp_path_follower.core.files import read_csv_columns
+from adp_path_follower.core.parameter_file import load_settings
+from adp_path_follower.core.path_library import PATH_HELP, named_path
+from adp_path_follower.core.settings import Settings
+
+if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
+    from adp_path_follower.comparison import Comparison, Outcome
+
+_UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.inf")
+_FORTY_STARTS = Path(__file__).parents[1] / "data" / "forty_starts.csv"
+
+
+@click.command()
+@settings_options
+@click.option(
+    "--path",
+    "path_names",
+    multiple=True,
+    metavar="NAME|FILE",
+    help=f"Path to follow, lissajous if none is given; may be given several times: {PATH_HELP}.",
+)
+@start_options
+@click.option("--duration", type=float, default=30.0, show_default=True, help="Time [s] of J.")
+@click.option(
+    "--controllers",
+    metavar="NAME,NAME",
+    help="Which ones; all if not given. `--list` names them.",
+)
+@click.option("--list", "list_them", is_flag=True, help="Name the controllers, and end.")
+@click.option("--unlimited", is_flag=True, help="Without limits of the command.")
+@click.option(
+    "--out",
+    "directory",
+    type=FILE,
+    metavar="DIR",
+    help="Where table, figures and numbers go: a new or empty directory (adp_compare_DATE if it "
+    "is not given).",
+)
+def compare(
+    params: Path | None,
+    assignments: tuple[str, ...],
+    path_names: tuple[str, ...],
+    starts: tuple[tuple[float, float, float], ...],
+    starts_file: Path | None,
+    start_arc_length: float,
+    duration: float,
+    controllers: str | None,
+    list_them: bool,
+    unlimited: bool,
+    directory: Path | None,
+) -> None:
+    r"""Compare the controller with its peers, and all with the offline optimum.
+
+    Every controller runs from the same starts (forty, with |s|, |y| <= 1 m and |θ| <= 60°, if none
+    are given) for the cost J, and one lap from the paper's start for the cross-track error. A run
+    has failed if it was lost or ended more than 0.5 m from the path. Needs no ROS; about four
+    minutes for each path, most of it for nmpc and the optimum.
+
+    \b
+    The headline:       adp compare --unlimited
+    With limits, fast:  adp compare --controllers adp,lqr,regulated_pure_pursuit
+    Before a bend:      adp compare --unlimited --start-arc-length 15.53
+
+    Exit code 1 if some start has no known optimum; it is named, and counts in all but J/J*.
+    """
+    from adp_path_follower.comparison import CONTROLLERS
+    from adp_path_follower.comparison import compare as run_comparison
+
+    if list_them:
+        for name, description in CONTROLLERS.items():
+            click.echo(f"{name:30} {description}")
+        return
+    names = [name.strip() for name in controllers.split(",")] if controllers else list(CONTROLLERS)
+    changes = (*_UNLIMITED, *assignments) if unlimited else assignments
+    settings = load_settings(Settings, "path_follower", params, changes)
+    if starts or starts_file is not None:
+        errors = collect_starts(starts, starts_file)
+    else:
+        errors = np.asarray(read_csv_columns(_FORTY_STARTS, ("s", "y", "theta")))
+    paths = {name: named_path(name) for name in path_names or ("lissajous",)}
+    directory = new_directory(
+        directory or Path(datetime.now().strftime("adp_compare_%Y_%m_%d-%H_%M_%S"))
+    )
+    found = []
+    for name, path in paths.items():
+        with progress_bar(f"{len(names)} controllers on {name}") as progress:
+            found.append(
+                run_comparison(
+                    settings,
+                    name,
+                    path,
+                    errors,
+                    names,
+                    start_arc_length=start_arc_length,
+                    duration=duration,
+                    progress=progress,
+                )
+            )
+        click.echo(_table(found[-1]) + "\n")
+    _write(found, directory)
+    problems = [problem for item in found for problem in item.problems]
+    for problem in problems:
+        click.echo(f"adp: {problem}", err=True)
+    sys.exit(1 if problems else 0)
+
+
+def _table(found: Comparison) -> str:
+    """Return one path's table, best controllers first."""
+    lines = [
+        f"{found.path_name}, {len(found.starts)} starts",
+        "                                    J/J*                            settled  effort"
+        "   cross-track [mm]   per step",
+        "controller                     median      p95      max  failed   in [s]  ∫uᵀRu"
+        "       RMS      max       [ms]",
+    ]
+    for item in sorted(found.outcomes, key=_rank):
+        ratios = "".join(_ratio(item.quantile(share)) for share in (0.5, 0.95, 1.0))
+        settled = float(np.median(item.settling_time))
+        effort = float(np.median(item.effort[~item.failed])) if not item.failed.all() else np.nan
+        lines.append(
+            f"{item.name:29}{ratios}{int(item.failed.sum()):8d}"
+            + (f"{settled:9.2f}" if np.isfinite(settled) else f"{'–':>9}")
+            + f"{effort:8.3f}{1e3 * item.cross_track_rms:10.2f}{1e3 * item.cross_track_max:9.2f}"
+            + f"{1e3 * item.step_time:11.3f}"
+        )
+    return "\n".join(lines)
+
+
+def _rank(item: Outcome) -> tuple[float, float]:
+    median = item.quantile(0.5)
+    return (median if np.isfinite(median) else np.inf, float(np.nanmedian(item.cost)))
+
+
+def _ratio(value: float) -> str:
+    if np.isnan(value):
+        return f"{'–':>9}"
+    return f"{value:9.4f}" if value < 100.0 else f"{'>100' if np.isfinite(value) else 'failed':>9}"
+
+
+def _write(found: list[Comparison], directory: Path) -> None:
+    """Write the table, the numbers and the figures; say where."""
+    from adp_path_follower.analysis.comparison_figures import draw_comparison
+
+    text = "\n\n".join(_table(item) for item in found)
+    (directory / "compare.txt").write_text(text + "\n", encoding="utf-8")
+    write_json(directory / "compare.json", {"paths": [_numbers(item) for item in found]})
+    for number, item in enumerate(found, start=1):
+        draw_comparison(item, directory if len(found) == 1 else directory / f"path_{number}")
+    click.echo(f"In {directory}: compare.txt, compare.json and the figures")
+
+
+def _numbers(found: Comparison) -> dict[str, Any]:
+    """Return what compare.json holds of one path."""
+    return {
+        "path": found.path_name,
+        "starts": found.starts.tolist(),
+        "optimal_cost": found.optimal_cost.tolist(),
+        "problems": list(found.problems),
+        "controllers": [
+            {
+                "name": item.name,
+                "cost_ratio_median": item.quantile(0.5),
+                "cost_ratio_p95": item.quantile(0.95),
+                "cost_ratio_max": item.quantile(1.0),
+                "cost": item.cost.tolist(),
+                "failed": item.failed.tolist(),
+                "settling_time": item.settling_time.tolist(),
+                "effort": item.effort.tolist(),
+                "cross_track_rms": item.cross_track_rms,
+                "cross_track_max": item.cross_track_max,
+                "step_time": item.step_time,
+            }
+            for item in found.outcomes
+        ],
+    }
