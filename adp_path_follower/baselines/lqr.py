@@ -1,0 +1,38 @@
+"""The linear-quadratic regulator, scheduled by curvature."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.baselines.peer import PeerController
+from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path, PathFrame
+from adp_path_follower.core.riccati import RiccatiSchedule
+from adp_path_follower.core.settings import Settings
+
+
+class Lqr(PeerController):
+    """LQR scheduled by curvature: u = -R^-1 g(e)^T P(kappa) e.
+
+    P solves the Riccati equation of the dynamics linearised about the path, but g is the true one:
+    with g(0) a robot that stands across the path would still drive by s instead of y.
+    """
+
+    def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
+        """Solve the Riccati equation over the path's curvatures."""
+        super().__init__(settings, path, arc_length)
+        self._schedule = RiccatiSchedule(path, settings.target, settings.cost)
+        self._input_cost_inverse = np.linalg.inv(settings.cost.input_cost_matrix())
+
+    def _command(
+        self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
+    ) -> FloatArray:
+        """Return the command of the policy."""
+        slope = np.matmul(self._schedule.matrix(frame.curvature), error[..., None])[..., 0]
+        s_slope, y_slope, theta_slope = np.moveaxis(slope, -1, 0)
+        theta = error[..., 2]
+        pull = np.stack([np.cos(theta) * s_slope + np.sin(theta) * y_slope, theta_slope], axis=-1)
+        feedforward = error_dynamics.feedforward(frame.curvature, self.settings.target)
+        return np.asarray(feedforward - pull @ self._input_cost_inverse)

@@ -1,0 +1,277 @@
+"""The optimal control problem of one NMPC step, transcribed once and solved for any robot.
+
+Needs the extra `optimum` (CasADi).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.settings import CostSettings, LimitSettings, TargetSettings
+
+try:
+    import casadi
+except ImportError:
+    raise AdpError(
+        "the peer 'nmpc' needs CasADi: pip install 'adp_path_follower[optimum]'"
+    ) from None
+
+STEPS = 30
+STEP = 0.1  # [s]
+
+_MOST_ITERATIONS = 100  # one is enough on the path
+_STATES, _INPUTS = 4, 2
+_STAGE = _STATES + _INPUTS
+_CURVATURE_TERMS = 4  # place, and kappa there with its first two derivatives
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A predicted motion.
+
+    Attributes:
+        state: s [m], y [m], theta [rad], s_p [m] before and after each step, shape (N + 1, 4).
+        command: [v, w] that is held over each step [m/s, rad/s], shape (N, 2).
+
+    """
+
+    state: FloatArray
+    command: FloatArray
+
+    def after(self, time: float) -> Plan:
+        """Return the plan from a time [s] on, its last command held beyond its end."""
+        shift = time / STEP
+        nodes = np.arange(STEPS + 1) + shift
+        state = np.stack([np.interp(nodes, range(STEPS + 1), row) for row in self.state.T], axis=1)
+        beyond = np.maximum(nodes - STEPS, 0.0)
+        state[:, 3] += beyond * (self.state[-1, 3] - self.state[-2, 3])
+        command = [np.interp(nodes[:-1], range(STEPS), row) for row in self.command.T]
+        return Plan(state, np.stack(command, axis=1))
+
+    def turned_to(self, heading: float) -> Plan:
+        """Return the plan by whole turns nearest to a heading error [rad], which is wrapped."""
+        turns = round((heading - self.state[0, 2]) / (2.0 * math.pi))
+        if turns == 0:
+            return self
+        return Plan(self.state + np.array([0.0, 0.0, 2.0 * math.pi * turns, 0.0]), self.command)
+
+
+@functools.lru_cache(maxsize=8)
+def horizon_solver(
+    target: TargetSettings, cost: CostSettings, limits: LimitSettings
+) -> HorizonSolver:
+    """Return the fastest solver that there is for these settings.
+
+    Median tick per robot on the figure eight at 20 Hz, on one core of a small server:
+
+        compiled [ms]   fatrop  sqpmethod (qrqp)  IPOPT
+        no limits          0.7               0.7    1.7
+        box limits         1.2               0.7    3.1
+
+    Not compiled, fatrop and sqpmethod take 2.5 and 2.7 ms on the paper's run without limits. Both
+    can fail from a guess that is metres away, where fatrop can also go on for ever; hence IPOPT,
+    20 to 50 ms, where there is no good plan to start from.
+
+    Raises:
+        AdpError: CasADi has none of them.
+
+    """
+    problem = _transcription(target, cost)
+    fastest = ("fatrop", "sqpmethod") if limits.unlimited else ("sqpmethod", "fatrop")
+    names = [name for name in (*fastest, "ipopt") if casadi.has_nlpsol(name)]
+    if not names:
+        raise AdpError(
+            "the peer 'nmpc' needs a CasADi with fatrop, sqpmethod or ipopt, and this one has "
+            "none: pip install --upgrade casadi"
+        )
+    fast = casadi.nlpsol("nmpc", names[0], problem, _options(names[0]))
+    careful = casadi.nlpsol("nmpc", names[-1], problem, _options(names[-1]))
+    compiled = _compiled(fast, names[0])
+    if compiled is None:
+        return HorizonSolver(fast, careful, f"{names[0]}, not compiled", limits)
+    return HorizonSolver(compiled, careful, f"{names[0]}, compiled", limits)
+
+
+class HorizonSolver:
+    """Multiple shooting over the horizon: 30 steps of 0.1 s by RK4, commands held over each.
+
+    The decision variables are [s, y, theta, s_p] and the command [v, w], so that limits are plain
+    bounds; the curvature in each step is a parabola in s_p, about where the plan that it starts
+    from has the virtual target in that step.
+
+    Attributes:
+        name: Of the fast solver.
+
+    """
+
+    def __init__(self, fast: Any, careful: Any, name: str, limits: LimitSettings) -> None:
+        """Take CasADi's solvers of the transcription."""
+        self._fast, self._careful = fast, careful
+        self.name = name
+        lower = np.full((STEPS, _STAGE), -math.inf)
+        upper = np.full((STEPS, _STAGE), math.inf)
+        lower[:, _STATES:], upper[:, _STATES:] = limits.lower, limits.upper
+        free = np.full(_STATES, math.inf)
+        self._lower = np.append(lower.ravel(), -free)
+        self._upper = np.append(upper.ravel(), free)
+
+    def solve(
+        self,
+        start: FloatArray,
+        guess: Plan,
+        curvature: FloatArray,
+        terminal: FloatArray,
+        careful: bool = False,
+    ) -> Plan | None:
+        """Return the best plan found from a guess; None if the solver fails.
+
+        Args:
+            start: [s, y, theta, s_p], shape (4,).
+            guess: A plan to start from.
+            curvature: Place s_p [m], kappa [1/m], kappa' and kappa'' of each step, shape (N, 4).
+            terminal: P of the terminal cost e^T P e, shape (3, 3).
+            careful: Whether the guess is poor, so that it takes the slower, safer solver.
+
+        """
+        origin = np.array([0.0, 0.0, 0.0, start[3]])  # s_p from the start: small numbers
+        values = np.hstack([guess.state[:-1] - origin, guess.command]).ravel()
+        values = np.append(values, guess.state[-1] - origin)
+        values[:_STATES] = start - origin
+        lower, upper = self._lower.copy(), self._upper.copy()
+        lower[:_STATES] = upper[:_STATES] = start - origin
+        values = np.clip(values, lower, upper)
+        table = curvature - np.array([start[3], 0.0, 0.0, 0.0])
+        parameters = np.concatenate([table.ravel(), terminal.ravel()])
+        solver = self._careful if careful else self._fast
+        try:
+            result = solver(x0=values, p=parameters, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
+        except RuntimeError:
+            return None
+        found = np.array(result["x"]).ravel()
+        if not (solver.stats()["success"] and np.isfinite(found).all()):
+            return None
+        stages = found[:-_STATES].reshape(STEPS, _STAGE)
+        state = np.vstack([stages[:, :_STATES], found[-_STATES:]]) + origin
+        return Plan(state, stages[:, _STATES:])
+
+
+def _transcription(target: TargetSettings, cost: CostSettings) -> dict[str, Any]:
+    """Return the nonlinear program as CasADi wants it, ordered stage by stage."""
+    step = _step_function(target, cost).map(STEPS)
+    stages = casadi.MX.sym("stages", _STAGE, STEPS)  # [state, command] of each
+    last = casadi.MX.sym("last", _STATES)
+    table = casadi.MX.sym("curvature", _CURVATURE_TERMS, STEPS)
+    terminal = casadi.MX.sym("terminal", 3, 3)
+    after, spent = step(stages[:_STATES, :], stages[_STATES:, :], table)
+    gaps = casadi.horzcat(stages[:_STATES, 1:], last) - after
+    return {
+        "x": casadi.vertcat(casadi.vec(stages), last),
+        "p": casadi.vertcat(casadi.vec(table), casadi.vec(terminal)),
+        "f": casadi.sum2(spent) + casadi.bilin(terminal, last[:3], last[:3]),
+        "g": casadi.vec(gaps),
+    }
+
+
+def _step_function(target: TargetSettings, cost: CostSettings) -> Any:
+    """Return a CasADi function (state, command, curvature) -> (state after a step, its cost)."""
+    state, command = casadi.SX.sym("state", _STATES), casadi.SX.sym("command", _INPUTS)
+    table = casadi.SX.sym("curvature", _CURVATURE_TERMS)
+    v_des, gain = target.desired_speed, target.target_gain
+
+    def rates(now: Any) -> tuple[Any, Any]:
+        s, y, theta, arc_length = casadi.vertsplit(now)
+        ahead = arc_length - table[0]
+        curvature = table[1] + ahead * (table[2] + 0.5 * ahead * table[3])
+        speed = v_des * casadi.cos(theta) + gain * s
+        rate = casadi.vertcat(
+            speed * (curvature * y - 1.0) + command[0] * casadi.cos(theta),
+            command[0] * casadi.sin(theta) - curvature * s * speed,
+            command[1] - curvature * speed,
+            speed,
+        )
+        error, modified = now[:3], command - casadi.vertcat(v_des, v_des * curvature)
+        spent = casadi.bilin(cost.state_cost_matrix(), error, error)
+        return rate, spent + casadi.bilin(cost.input_cost_matrix(), modified, modified)
+
+    first, first_cost = rates(state)
+    second, second_cost = rates(state + 0.5 * STEP * first)
+    third, third_cost = rates(state + 0.5 * STEP * second)
+    fourth, fourth_cost = rates(state + STEP * third)
+    after = state + STEP / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+    spent = STEP / 6.0 * (first_cost + 2.0 * second_cost + 2.0 * third_cost + fourth_cost)
+    return casadi.Function("step", [state, command, table], [after, spent])
+
+
+def _compiled(solver: Any, name: str) -> Any:
+    """Return CasADi's solver with its functions compiled, or None without a working compiler."""
+    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if compiler is None:
+        return None
+    # Not CasADi's own just-in-time compilation, which leaves files in the working directory.
+    generator = casadi.CodeGenerator("nmpc.c")
+    generator.add(solver.oracle())
+    for function in solver.get_function():
+        generator.add(solver.get_function(function))
+    with tempfile.TemporaryDirectory() as folder:
+        generator.generate(folder + os.sep)
+        source, library = os.path.join(folder, "nmpc.c"), os.path.join(folder, "nmpc.so")
+        flags = ["-O3", "-march=native", "-fPIC", "-shared", "-lm"]
+        # The library stays loaded after its file is gone.
+        try:
+            subprocess.run(  # noqa: S603  # the compiler of this machine
+                [compiler, source, "-o", library, *flags], check=True, capture_output=True
+            )
+            return casadi.nlpsol("nmpc", name, library, _options(name))
+        except (OSError, subprocess.CalledProcessError, RuntimeError):
+            return None
+
+
+def _options(solver: str) -> dict[str, Any]:
+    """Return the options of a solver."""
+    options: dict[str, Any] = {
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+    }
+    if solver == "ipopt":
+        options |= {
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "ipopt.tol": 1e-6,
+            "ipopt.max_iter": _MOST_ITERATIONS,
+        }
+    elif solver == "fatrop":
+        options |= {
+            "structure_detection": "auto",
+            "equality": [True] * (STEPS * _STATES),
+            "fatrop.print_level": 0,
+            "fatrop.tol": 1e-6,
+            "fatrop.max_iter": _MOST_ITERATIONS,
+        }
+    else:
+        options |= {
+            "qpsol": "qrqp",
+            "qpsol_options": {
+                "print_iter": False,
+                "print_header": False,
+                "error_on_fail": False,
+            },
+            "max_iter": _MOST_ITERATIONS // 2,
+            "print_header": False,
+            "print_iteration": False,
+            "print_status": False,
+            "tol_du": 1e-5,
+            "tol_pr": 1e-6,
+        }
+    return options

@@ -1,0 +1,58 @@
+"""What all peers share: the virtual target, whose error and cost they are measured by."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.controller import ControlOutput, VirtualTarget
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path, PathFrame
+from adp_path_follower.core.settings import Settings
+
+
+class PeerController(ABC):
+    """A `Controller` for a batch of robots that are told a clipped command at every step."""
+
+    def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
+        """Start with the virtual targets at arc lengths [m] of the path, shape (B,)."""
+        self.settings = settings
+        self.path = path
+        self.target = VirtualTarget(path, settings.target, arc_length)
+
+    @property
+    def cruising_speed(self) -> float:
+        """Return v_des [m/s] as far as the limits allow it: what a peer that only steers holds."""
+        return min(self.settings.target.desired_speed, self.settings.limits.max_linear_vel)
+
+    def step(self, pose: FloatArray, dt: float) -> ControlOutput:
+        """Return the command for poses [x, y, theta], shape (B, 3), after dt [s]."""
+        frame, error = self.target.move(pose, dt)
+        limits = self.settings.limits
+        command = np.clip(self._command(pose, dt, frame, error), limits.lower, limits.upper)
+        feedforward = error_dynamics.feedforward(frame.curvature, self.settings.target)
+        return ControlOutput(
+            command=command,
+            modified_input=command - feedforward,
+            error=error,
+            target_pose=frame.pose,
+            arc_length=self.target.arc_length,
+            curvature=frame.curvature,
+        )
+
+    @abstractmethod
+    def _command(
+        self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
+    ) -> FloatArray:
+        """Return the wanted command [v, w], shape (B, 2).
+
+        Args:
+            pose: Of the robots, shape (B, 3).
+            dt: Time since the last step [s].
+            frame: Of the path at the virtual targets.
+            error: e = [s, y, theta] to the virtual targets, shape (B, 3).
+
+        """

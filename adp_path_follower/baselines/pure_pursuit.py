@@ -1,0 +1,183 @@
+"""Pure pursuit, plain and regulated as in Nav2."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.baselines.nearest import NearestPlace
+from adp_path_follower.baselines.peer import PeerController
+from adp_path_follower.core.error_dynamics import tracking_error
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path, PathFrame
+from adp_path_follower.core.settings import Settings
+
+USUAL_LOOKAHEAD = 1.0  # [m], as in MATLAB's controllerPurePursuit
+TUNED_LOOKAHEAD = 0.6  # [m]
+
+_LEAST_CARROT_SQUARED = 1e-3  # [m^2]: nearer than this there is no arc to it (Nav2)
+_NAV2_PERIOD = 0.05  # [s] of Nav2's controller server: stands in where no time has passed
+
+
+def pursuit_curvature(carrot: FloatArray) -> FloatArray:
+    """Return the curvature [1/m] of the arc to a point seen from the robot, shape (...).
+
+    Args:
+        carrot: [x, y, ...] in the robot's frame [m], shape (..., 2 or more).
+
+    """
+    along, across = carrot[..., 0], carrot[..., 1]
+    away = np.hypot(along, across)
+    # Divided twice, lest the square of a distance overflow.
+    safe = np.maximum(away, math.sqrt(_LEAST_CARROT_SQUARED))
+    curvature = 2.0 * (across / safe) / safe
+    return np.asarray(np.where(away > math.sqrt(_LEAST_CARROT_SQUARED), curvature, 0.0))
+
+
+class PurePursuit(PeerController):
+    """Pure pursuit (Coulter, CMU-RI-TR-92-01, 1992): steer along the arc to a point ahead.
+
+    The law holds the speed and has one number, the look-ahead distance; `TUNED_LOOKAHEAD` is the
+    best of 0.2, 0.3, ..., 1.3 and 1.5 m by the score of `registry`.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        path: Path,
+        arc_length: ArrayLike = 0.0,
+        lookahead: float = USUAL_LOOKAHEAD,
+    ) -> None:
+        """Look ahead by a distance [m]."""
+        super().__init__(settings, path, arc_length)
+        self.lookahead = lookahead
+        self._nearest = NearestPlace(path, self.target.arc_length)
+
+    def _command(
+        self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
+    ) -> FloatArray:
+        """Return v_des and the turn that follows the arc to the point ahead."""
+        curvature = pursuit_curvature(_carrot(self.path, self._nearest, pose, self.lookahead))
+        speed = np.full_like(curvature, self.cruising_speed)
+        return np.stack([speed, speed * curvature], axis=-1)
+
+
+@dataclass(frozen=True)
+class RegulationRules:
+    """Nav2's parameters of the rules, with the defaults that it publishes and by its names.
+
+    Attributes:
+        lookahead_dist: Look-ahead distance where it does not depend on speed [m].
+        use_velocity_scaled_lookahead_dist: Whether it does.
+        lookahead_time: Look-ahead distance by speed [s].
+        min_lookahead_dist: Least one by speed [m].
+        max_lookahead_dist: Greatest one by speed [m].
+        regulated_linear_scaling_min_radius: Turning radius below which the robot slows down [m].
+        regulated_linear_scaling_min_speed: Speed that it keeps [m/s].
+        rotate_to_heading_min_angle: Angle to the point ahead beyond which it turns in place [rad].
+        rotate_to_heading_angular_vel: Speed of that turn [rad/s].
+        max_angular_accel: Acceleration of that turn [rad/s^2].
+
+    """
+
+    lookahead_dist: float = 0.6
+    use_velocity_scaled_lookahead_dist: bool = False
+    lookahead_time: float = 1.5
+    min_lookahead_dist: float = 0.3
+    max_lookahead_dist: float = 0.9
+    regulated_linear_scaling_min_radius: float = 0.9
+    regulated_linear_scaling_min_speed: float = 0.25
+    rotate_to_heading_min_angle: float = 0.785
+    rotate_to_heading_angular_vel: float = 1.8
+    max_angular_accel: float = 3.2
+
+
+NAV2_RULES = RegulationRules()
+TUNED_RULES = RegulationRules(
+    use_velocity_scaled_lookahead_dist=True,
+    lookahead_time=1.2,
+    regulated_linear_scaling_min_radius=0.3,
+    rotate_to_heading_min_angle=1.57,
+)
+
+
+class RegulatedPurePursuit(PeerController):
+    """Pure pursuit with Nav2's rules (Macenski et al., arXiv 2305.20026, 2023).
+
+    The look-ahead distance may grow with speed; the robot slows down in tight turns, and turns in
+    place towards a point that is far to the side. Left out is what needs a costmap or a goal:
+    slowing down near obstacles, collision checks, the approach to the goal and the turn there; and
+    what Nav2 has switched off: reversing, and a second point ahead for the curvature.
+
+    `TUNED_RULES` are the best by the score of `registry` of look-ahead times 0.8, 1, 1.2, 1.5 s,
+    radii 0.9, 0.3 m and angles 0.785, 1.2, 1.57 rad, with the look-ahead distance by speed.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        path: Path,
+        arc_length: ArrayLike = 0.0,
+        rules: RegulationRules = NAV2_RULES,
+    ) -> None:
+        """Take the rules."""
+        super().__init__(settings, path, arc_length)
+        self.rules = rules
+        self._nearest = NearestPlace(path, self.target.arc_length)
+        # In place of the odometry's twist, which Nav2 takes. The robot starts at rest.
+        self._twist = np.zeros(2)
+
+    def _command(
+        self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
+    ) -> FloatArray:
+        """Return the regulated speed along the arc to the point ahead, or a turn in place."""
+        twist = np.broadcast_to(self._twist, (*pose.shape[:-1], 2))
+        carrot = _carrot(self.path, self._nearest, pose, self.lookahead(twist[..., 0]))
+        curvature = pursuit_curvature(carrot)
+        speed = self.regulated_speed(curvature)
+        bearing = np.arctan2(carrot[..., 1], carrot[..., 0])
+        turning = np.abs(bearing) > self.rules.rotate_to_heading_min_angle
+        linear = np.where(turning, 0.0, speed)
+        turn = self._turn_in_place(bearing, twist[..., 1], dt if dt > 0.0 else _NAV2_PERIOD)
+        command = np.stack([linear, np.where(turning, turn, speed * curvature)], axis=-1)
+        limits = self.settings.limits
+        self._twist = np.clip(command, limits.lower, limits.upper)
+        return command
+
+    def lookahead(self, speed: FloatArray) -> FloatArray:
+        """Return the look-ahead distance [m] at speeds [m/s], same shape."""
+        rules = self.rules
+        if not rules.use_velocity_scaled_lookahead_dist:
+            return np.full_like(speed, rules.lookahead_dist)
+        scaled = np.abs(speed) * rules.lookahead_time
+        return np.clip(scaled, rules.min_lookahead_dist, rules.max_lookahead_dist)
+
+    def regulated_speed(self, curvature: FloatArray) -> FloatArray:
+        """Return the speed [m/s] on arcs of a curvature [1/m], same shape."""
+        rules, speed = self.rules, self.cruising_speed
+        # v_des (1 - |r - r_min| / r_min) for r < r_min is v_des r / r_min.
+        share = np.maximum(np.abs(curvature) * rules.regulated_linear_scaling_min_radius, 1.0)
+        regulated = np.maximum(speed / share, rules.regulated_linear_scaling_min_speed)
+        return np.asarray(np.minimum(regulated, speed))
+
+    def _turn_in_place(self, bearing: FloatArray, turn: FloatArray, dt: float) -> FloatArray:
+        """Return w [rad/s] that turns towards a bearing [rad] from a turn [rad/s], same shape."""
+        rules = self.rules
+        wanted = np.copysign(rules.rotate_to_heading_angular_vel, bearing)
+        change = rules.max_angular_accel * dt
+        feasible = np.clip(wanted, turn - change, turn + change)
+        # No faster than what can still stop at the bearing.
+        stopping = np.sqrt(2.0 * rules.max_angular_accel * np.abs(bearing))
+        fast = np.abs(feasible) > stopping
+        return np.asarray(np.where(fast, np.copysign(stopping, bearing), feasible))
+
+
+def _carrot(
+    path: Path, nearest: NearestPlace, pose: FloatArray, lookahead: ArrayLike
+) -> FloatArray:
+    """Return the point ahead in the robot's frame, [x, y, heading] (B, 3)."""
+    nearest.move(pose)
+    return tracking_error(path.frame(nearest.ahead(pose, lookahead)).pose, pose)

@@ -1,0 +1,93 @@
+"""Stanley's steering law, on a virtual bicycle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.baselines.nearest import NearestPlace
+from adp_path_follower.baselines.peer import PeerController
+from adp_path_follower.core.error_dynamics import tracking_error
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path, PathFrame
+from adp_path_follower.core.settings import Settings
+
+
+@dataclass(frozen=True)
+class StanleyGains:
+    """Numbers of the law.
+
+    Attributes:
+        position_gain: k [1/s], on the cross-track error.
+        wheelbase: Of the virtual bicycle whose rear axle is the robot's [m].
+        max_steering: Greatest steering angle [rad].
+        at_front_axle: Whether errors are taken at the front axle, or at the robot.
+        curvature_feedforward: Whether the path's curvature is steered, too.
+
+    """
+
+    position_gain: float = 2.5
+    wheelbase: float = 0.3
+    max_steering: float = math.radians(35.0)
+    at_front_axle: bool = True
+    curvature_feedforward: bool = False
+
+
+USUAL_GAINS = StanleyGains()
+TUNED_GAINS = StanleyGains(
+    position_gain=0.5, wheelbase=0.3, at_front_axle=False, curvature_feedforward=True
+)
+
+
+def steering_angle(
+    heading_error: FloatArray, cross_track: FloatArray, speed: float, gains: StanleyGains
+) -> FloatArray:
+    """Return delta = -theta - arctan(k y / v) without curvature and limits [rad], same shape."""
+    return np.asarray(-heading_error - np.arctan(gains.position_gain * cross_track / speed))
+
+
+class Stanley(PeerController):
+    """Stanley (Hoffmann, Tomlin, Montemerlo, Thrun, ACC 2007): steer a bicycle's front wheel.
+
+    The kinematic law: delta = -theta - arctan(k y / v), with heading and cross-track error at the
+    front axle. A unicycle has no front axle; the robot is taken for the rear axle of a bicycle,
+    w = v tan(delta) / wheelbase. The usual gain and steering limit are those of MATLAB's
+    lateralControllerStanley; its wheelbase is a car's, so a small robot's stands in.
+
+    With the front axle on the path, the robot itself cuts the bends. `TUNED_GAINS` therefore take
+    the errors at the robot and feed arctan(wheelbase kappa) forward; they are the best by the score
+    of `registry` of k = 0.3, 0.5, 0.75, 1, 1.5, 2.5 1/s and wheelbases 0.1, 0.2, 0.3, 0.5 m.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        path: Path,
+        arc_length: ArrayLike = 0.0,
+        gains: StanleyGains = USUAL_GAINS,
+    ) -> None:
+        """Take the gains."""
+        super().__init__(settings, path, arc_length)
+        self.gains = gains
+        self._nearest = NearestPlace(path, self.target.arc_length)
+
+    def _command(
+        self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
+    ) -> FloatArray:
+        """Return v_des and the turn of the virtual bicycle."""
+        gains, speed = self.gains, self.cruising_speed
+        reference = pose.copy()
+        if gains.at_front_axle:
+            reference[..., 0] += gains.wheelbase * np.cos(pose[..., 2])
+            reference[..., 1] += gains.wheelbase * np.sin(pose[..., 2])
+        place = self.path.frame(self._nearest.move(reference))
+        _, cross_track, heading = np.moveaxis(tracking_error(reference, place.pose), -1, 0)
+        steering = steering_angle(heading, cross_track, speed, gains)
+        if gains.curvature_feedforward:
+            steering = steering + np.arctan(gains.wheelbase * place.curvature)
+        steering = np.clip(steering, -gains.max_steering, gains.max_steering)
+        turn = speed * np.tan(steering) / gains.wheelbase
+        return np.stack([np.full_like(turn, speed), turn], axis=-1)
