@@ -214,7 +214,7 @@ class _ClosedLoop:
             if step % max(1, round(0.1 / period)) == 0:
                 progress(step / (steps + 1))
                 if isinstance(output, FollowerOutput):
-                    excitation = np.minimum(excitation, output.excitation)
+                    excitation = np.fmin(excitation, output.excitation)
             if step < steps:
                 max_inputs = np.maximum(max_inputs, np.abs(command))
                 cost += self._move(output.arc_length, command, period)

@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter
 
 from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.comparison import Comparison, Outcome
@@ -115,6 +116,10 @@ def _cost_per_step(found: Comparison) -> Figure:
         axes.annotate(outcome.name, place, textcoords="offset points", xytext=(5, 4), fontsize=8)
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.margins(x=0.25, y=0.1)
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(FormatStrFormatter("%g"))
+    axes.tick_params(axis="x", which="minor", labelsize=7)
     axes.set_xlabel("computing time of one control step [ms], this machine")
     axes.set_ylabel("loss J/J* − 1, 95th percentile")
     axes.set_title(f"Cost against computing time, {found.path_name}")

@@ -213,17 +213,31 @@ def _weights(view: RunView) -> Figure:
     figure = Figure(figsize=(9.0, 4.5))
     pair = figure.subplots(1, 2, sharey=True)
     both = {"Critic weights": view.critic_weights, "Actor weights": view.actor_weights}
+    named = _named_terms(view)
     for axes, (title, weights) in zip(pair, both.items(), strict=True):
-        for column, label in enumerate(view.labels):
+        for column in range(len(view.labels)):
+            if column not in named:
+                axes.plot(view.weight_time, weights[:, column], color="0.75", linewidth=0.6)
+        for rank, column in enumerate(named):
             axes.plot(
                 view.weight_time,
                 weights[:, column],
-                color=COLORS[column % len(COLORS)],
-                linestyle="-" if column < len(COLORS) else "--",
-                label=label,
+                color=COLORS[rank % len(COLORS)],
+                linestyle="-" if rank < len(COLORS) else "--",
+                label=view.labels[column],
             )
         axes.set_title(title)
         axes.set_xlabel("time [s]")
+    if len(named) < len(view.labels):
+        pair[1].plot([], [], color="0.75", label=f"{len(view.labels) - len(named)} others")
     pair[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="term of σ")
     figure.tight_layout()
     return figure
+
+
+def _named_terms(view: RunView) -> list[int]:
+    """Return the terms that get a colour and a name: all of a few, the largest of many."""
+    if len(view.labels) <= 2 * len(COLORS) or not len(view.critic_weights):
+        return list(range(len(view.labels)))
+    size = np.abs(view.critic_weights).max(axis=0)
+    return sorted(np.argsort(-size)[: 2 * len(COLORS) - 4].tolist())

@@ -11,8 +11,10 @@ import numpy as np
 
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.bags.replay import Replay
+from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.simulation import PAPER_START, motion_cost
@@ -100,7 +102,8 @@ def measure(run: Run, replay: Replay) -> RunMetrics:
     outside = np.flatnonzero(size >= _SETTLED * size[0])
     last = int(outside[-1]) if len(outside) else -1
     duration = float(time[-1])
-    excitation = run.series.get("excitation")
+    series = run.series.get("excitation")
+    known = np.zeros(0) if series is None else series.values[np.isfinite(series.values)]
     return RunMetrics(
         duration=duration,
         cost=_cost(replay, time),
@@ -108,7 +111,7 @@ def measure(run: Run, replay: Replay) -> RunMetrics:
         cross_track_rms=float(np.sqrt(np.mean(late**2))) if len(late) else math.nan,
         cross_track_max=float(late.max()) if len(late) else math.nan,
         settling_time=float(time[last + 1]) if last + 1 < len(time) else math.nan,
-        excitation_min=float(excitation.values.min()) if excitation is not None else math.nan,
+        excitation_min=float(known.min()) if len(known) else math.nan,
         control_rate=(len(time) - 1) / duration if duration > 0.0 else math.nan,
         commands=len(time),
         identical_commands=int(replay.identical.sum()),
@@ -142,7 +145,14 @@ def _is_paper_problem(replay: Replay, first_error: FloatArray) -> bool:
     place = np.array([replay.outputs[0].arc_length, replay.follower.path.length])
     return bool(
         same_problem
-        and settings.limits.unlimited
+        and _within_limits(paper_optimum(), settings)
         and np.allclose(place, [0.0, lissajous().length], atol=1e-3)
         and np.allclose(first_error, PAPER_START, atol=1e-6)
     )
+
+
+def _within_limits(optimum: ReferenceMotion, settings: Settings) -> bool:
+    """Return whether limits would not have changed an optimum on a straight path."""
+    feedforward = error_dynamics.feedforward(np.zeros(len(optimum.time)), settings.target)
+    wanted = optimum.modified_input
+    return bool(np.allclose(saturate(wanted, feedforward, settings.limits), wanted))

@@ -1,4 +1,4 @@
-"""`adp demo`: the paper's run with real ROS 2 nodes."""
+"""`adp demo`: the paper's path and start, with real ROS 2 nodes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path import Path as FollowedPath
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.shared_files import config_file
 from adp_path_follower.simulation import PAPER_START
 
 
@@ -61,13 +60,12 @@ def demo(
     to 5 from the bag and prints a summary.
 
     \b
-    The paper's laws and constants:     adp demo
+    The recommended settings:           adp demo
+    The paper's laws and constants:     adp demo --params config/paper.yaml
     With other parameters:              adp demo --params my_robot.yaml --set target_gain=0.3
     On a circle of 2 m radius:          adp demo --path circle:0.5
     """
-    settings = load_settings(
-        Settings, "path_follower", params or config_file("paper.yaml"), assignments
-    )
+    settings = load_settings(Settings, "path_follower", params, assignments)
     path = named_path(path_name)
     _require_ros()
     directory = new_directory(

@@ -86,7 +86,7 @@ class ArcLengthLearner:
         self._owner = np.full(len(self._critic), np.iinfo(np.int64).min)
         self._reach = 0
         self._restart()
-        self._latest = KnotFit(np.zeros(self._size), 0.0, 0.0)
+        self._latest = KnotFit(np.full(self._size, np.nan), math.nan, math.nan)
         self.problem = ""
 
     def _restart(self) -> None:
@@ -98,7 +98,7 @@ class ArcLengthLearner:
 
     @property
     def sampled(self) -> KnotFit:
-        """Return what the samples said of the latest knot."""
+        """Return what the samples said of the latest knot; not a number before the first."""
         return self._latest
 
     def local(self, arc_length: FloatArray) -> LocalWeights:

@@ -63,7 +63,7 @@ class KnotFit:
     Attributes:
         critic_weights: Shape (L,); not finite where the samples do not determine them.
         residual: Root of the weighted mean square Bellman error over that of the running cost.
-        excitation: A lower bound of the smallest singular value of the rank condition's matrix,
+        excitation: The certificate: a lower bound of the smallest singular value of the rank condition's matrix,
             scaled to a unit diagonal.
 
     """
