@@ -73,6 +73,7 @@ def test_paper_yaml_holds_the_printed_constants():
         "scheduling": "path_state",
         "critic": "gradient",
         "wide_region": "none",
+        "fallback": "none",
         "initial_weights": "listed",
         "min_linear_vel": -math.inf,
         "max_linear_vel": math.inf,

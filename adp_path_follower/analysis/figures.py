@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.metrics import ReferenceMotion
 from adp_path_follower.analysis.style import COLORS, STYLE
-from adp_path_follower.bags.reader import Run, Series
+from adp_path_follower.bags.columns import Series
+from adp_path_follower.bags.reader import Run
 from adp_path_follower.bags.replay import Replay
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path as FollowedPath

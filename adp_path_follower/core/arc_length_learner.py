@@ -34,9 +34,8 @@ from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 
 _MOST_KNOTS = 8192  # that are remembered: 5 MB for each of critic and actor
-# Sweeps reach further and further ahead after a reset: where the robot is comes first.
 _MOST_RESIDUAL = 0.5  # of the running cost: a critic that explains less is refused
-_LEAST_EXCITATION = 1e-12
+_LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular matrix
 _CURVATURE_NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvature
 _MODEL = (  # settings that decide what is learned
     "basis",
@@ -68,13 +67,17 @@ class ArcLengthLearner:
         self._riccati = riccati
         self._model = KnotModel(settings)
         self._size = len(learning.value_basis.labels)
+        # Of the actor's projection: it never comes between the robot and its safe policy.
+        safe = learning.value_basis.quadratic_weights(riccati.table)
+        self._bound = max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
         count = max(1, math.ceil(path.length / learning.knot_spacing))
         self._spacing = path.length / count if path.closed else learning.knot_spacing
         self._window = max(2, round(learning.preview_distance / self._spacing))
-        # An open path goes on straight beyond its ends, for one preview.
-        self._first, self._last = (0, count - 1) if path.closed else (-self._window, count + 1)
-        self._last += 0 if path.closed else self._window
-        capacity = min(_MOST_KNOTS, self._last - self._first + 1)
+        # An open path goes on straight beyond its ends, for one preview. The knots of a closed one
+        # that fits into the memory come round again; of a longer one every lap has its own.
+        self._ends = None if path.closed else (-self._window, count + 1 + self._window)
+        self._lap = count if path.closed and count <= _MOST_KNOTS else None
+        capacity = min(_MOST_KNOTS, count if path.closed else count + 2 + 2 * self._window)
         self._critic = np.zeros((capacity, self._size))
         self._actor = np.zeros((capacity, self._size))
         self.reset()
@@ -84,7 +87,7 @@ class ArcLengthLearner:
         if where is not None:
             return
         self._owner = np.full(len(self._critic), np.iinfo(np.int64).min)
-        self._reach = 0
+        self._reach = 0  # of the next sweep, growing to the window: where the robot is comes first
         self._restart()
         self._latest = KnotFit(np.full(self._size, np.nan), math.nan, math.nan)
         self.problem = ""
@@ -151,9 +154,8 @@ class ArcLengthLearner:
         """
         near = math.floor(arc_length.min() / self._spacing) - self._window
         far = math.ceil((arc_length.max() + distance) / self._spacing) + self._window
-        if self._path.closed:
-            far = min(far, near + self._last + 1 + self._window)
-        far = min(far, near + len(self._critic))
+        # All that the memory holds; round a lap, one preview more, which comes to lie under it.
+        far = min(far, near + len(self._critic) + (0 if self._lap is None else self._window))
         slots = self._slots(np.arange(near, far))
         self._begin(near, far)
         while self._knot is not None:
@@ -213,10 +215,10 @@ class ArcLengthLearner:
     def _finish(self, equations: NormalEquations) -> None:
         """Take over the critic of the present knot, or the Riccati solution in its place."""
         self._latest = fit(equations)
-        self.problem_here = self._refusal(self._latest)
-        if self.problem_here:
+        refusal = self._refusal(self._latest)
+        if refusal:
             self._refused += 1
-            self.problem = self.problem_here
+            self.problem = refusal
             safe = self._safe(np.array([self._knot_curvature]))[0]
             self._critic[self._slot] = self._actor[self._slot] = self._ahead = safe
             return
@@ -251,8 +253,8 @@ class ArcLengthLearner:
     def _follow(self, near: int, far: int, dt: float) -> None:
         """Let the actor follow the critic at the knots from `near` up to `far`."""
         slots = self._slots(np.arange(near, far))
-        actor = follow(self._actor[slots], self._critic[slots], self._learning, dt)
-        sound = np.isfinite(actor).all(axis=-1)
+        actor, critic = self._actor[slots], self._critic[slots]
+        sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
         if not sound.all():
             self.problem = "weights are not finite"
             self._refused += 1
@@ -260,18 +262,19 @@ class ArcLengthLearner:
             self._slots(np.arange(near, far))
             self._restart()
             return
-        self._actor[slots] = actor
+        self._actor[slots] = follow(actor, critic, self._learning.actor_gain, self._bound, dt)
 
     def _slots(self, knots: np.ndarray) -> np.ndarray:
         """Return where knots of any shape are stored, with initial weights if they are new."""
-        if self._path.closed:
-            number = knots % (self._last + 1)
-        else:
-            number = np.minimum(np.maximum(knots, self._first), self._last)
+        number = knots
+        if self._lap is not None:
+            number = knots % self._lap
+        elif self._ends is not None:
+            number = np.minimum(np.maximum(knots, self._ends[0]), self._ends[1])
         slots = number % len(self._owner)
         new = self._owner[slots] != number
         if new.any():
-            numbers, places = np.unique(number[new]), np.unique(slots[new])
+            numbers = np.unique(number[new])
             places = numbers % len(self._owner)
             weights = initial_weights(self._learning, self._riccati, self._curvature(numbers))
             self._critic[places], self._actor[places] = weights.critic, weights.actor

@@ -11,6 +11,7 @@ from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.arc_length_learner import ArcLengthLearner
 from adp_path_follower.core.bellman import BellmanErrors, measured_error
 from adp_path_follower.core.controller import ControlOutput, RunningCost, VirtualTarget
+from adp_path_follower.core.fallback import RiccatiPolicy, distrust
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learner import Evidence, Learner, Weights
 from adp_path_follower.core.path import Path, PathFrame
@@ -19,6 +20,8 @@ from adp_path_follower.core.policy import actor_input, saturate
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.wide_region import WideRegion
+
+_MOST_DOUBT = 0.5  # above it, it is the Riccati policy that drives
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,8 @@ class FollowerOutput(ControlOutput):
         weights: Critic and actor weights that gave the command, shape (..., L) each.
         measured: Bellman error at the measured state.
         sampled: What the samples say of the weights.
+        doubt: Share of the Riccati policy, because the learned value function does not decrease
+            here as it must, shape (...).
 
     """
 
@@ -37,6 +42,7 @@ class FollowerOutput(ControlOutput):
     weights: Weights
     measured: BellmanErrors
     sampled: Evidence
+    doubt: FloatArray
 
     @property
     def bellman_error(self) -> FloatArray:
@@ -90,6 +96,8 @@ class PathFollower:
             self._learner = PathStateLearner(settings, path, riccati, weights)
         far_policy = settings.policy.wide_region != "none"
         self._wide_region = WideRegion(settings, riccati) if far_policy else None
+        safe_policy = settings.policy.fallback != "none"
+        self._fallback = RiccatiPolicy(settings, riccati) if safe_policy else None
         self._running_cost = RunningCost(settings.cost)
         self._input_cost_inverse = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
         self.cost = np.zeros_like(self.arc_length)
@@ -109,6 +117,9 @@ class PathFollower:
     @property
     def learning_problem(self) -> str:
         """Return why the Riccati policy has taken over, empty if it has not."""
+        doubt = 0.0 if self._previous is None else self._previous.doubt.max()
+        if not self._learner.problem and doubt > _MOST_DOUBT:
+            return "the learned value function does not decrease where the robot is"
         return self._learner.problem
 
     def step(self, pose: FloatArray, dt: float) -> FollowerOutput:
@@ -165,19 +176,36 @@ class PathFollower:
         gradient = basis.gradient(zeta)
         input_matrix = error_dynamics.input_matrix(zeta)
         feedforward = error_dynamics.feedforward(frame.curvature, target)
+        drift = error_dynamics.drift(zeta, frame.curvature, target)
         local = self._learner.local(self.arc_length)
+        passing = np.zeros(())
+        if local.slope is not None:  # the value function changes along the path by itself
+            terms = basis.value(zeta)
+            passing = error_dynamics.target_speed(error, target) * (local.slope * terms).sum(-1)
+
+        def measured(applied: FloatArray) -> tuple[FloatArray, BellmanErrors]:
+            running_cost = self._running_cost(error, applied)
+            rate = drift + np.matmul(input_matrix, applied[..., None])[..., 0]
+            spent = running_cost + passing
+            return running_cost, measured_error(local.weights.critic, gradient, rate, spent)
+
         input_gradient = np.matmul(gradient, input_matrix)
         wanted = actor_input(local.weights.actor, input_gradient, self._input_cost_inverse)
         applied = saturate(wanted, feedforward, self.settings.limits)
+        running_cost, errors = measured(applied)
+        doubt = np.zeros_like(running_cost)
+        learned = applied
+        if self._fallback is not None:
+            value = (local.weights.critic * basis.value(zeta)).sum(-1)
+            safe_value = self._fallback.value(zeta, frame.curvature)
+            doubt = distrust(errors.error[..., 0], running_cost, value, safe_value)
+            if doubt.any():
+                safe = self._fallback.modified_input(zeta, frame.curvature, feedforward)
+                applied = applied + doubt[..., None] * (safe - applied)
         if self._wide_region is not None:
             applied = self._wide_region.blend(applied, zeta, frame.curvature, feedforward)
-        running_cost = self._running_cost(error, applied)
-        drift = error_dynamics.drift(zeta, frame.curvature, target)
-        zeta_rate = drift + np.matmul(input_matrix, applied[..., None])[..., 0]
-        spent = running_cost
-        if local.slope is not None:  # the value function changes along the path by itself
-            passing = error_dynamics.target_speed(error, target)
-            spent = spent + passing * (local.slope * basis.value(zeta)).sum(axis=-1)
+        if applied is not learned:
+            running_cost, errors = measured(applied)
         return FollowerOutput(
             command=applied + feedforward,
             modified_input=applied,
@@ -187,8 +215,9 @@ class PathFollower:
             curvature=frame.curvature,
             running_cost=running_cost,
             weights=local.weights,
-            measured=measured_error(local.weights.critic, gradient, zeta_rate, spent),
+            measured=errors,
             sampled=self._learner.sampled,
+            doubt=doubt,
         )
 
     def hold(self) -> None:

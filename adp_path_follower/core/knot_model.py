@@ -63,8 +63,8 @@ class KnotFit:
     Attributes:
         critic_weights: Shape (L,); not finite where the samples do not determine them.
         residual: Root of the weighted mean square Bellman error over that of the running cost.
-        excitation: The certificate: a lower bound of the smallest singular value of the rank condition's matrix,
-            scaled to a unit diagonal.
+        excitation: The certificate: LAPACK's estimate of 1 / |M^-1|_1, M the rank condition's
+            matrix scaled to a unit diagonal; the smallest singular value is hardly smaller.
 
     """
 

@@ -137,7 +137,8 @@ def update_weights(
     rate = gain_measured * measured.information + gain_sampled * sampled.information
     descent = gain_measured * measured.gradient + gain_sampled * sampled.gradient
     critic = weights.critic - relax(rate, descent, dt)
-    return Weights(critic, follow(weights.actor, critic, learning, dt))
+    gain, bound = learning.actor_gain, learning.actor_weight_bound
+    return Weights(critic, follow(weights.actor, critic, gain, bound, dt))
 
 
 def least_squares(weights: Weights, sampled: BellmanErrors) -> FloatArray:
@@ -156,12 +157,21 @@ def least_squares(weights: Weights, sampled: BellmanErrors) -> FloatArray:
 
 
 def follow(
-    actor_weights: FloatArray, critic_weights: FloatArray, learning: LearningSettings, dt: float
+    actor_weights: FloatArray, critic_weights: FloatArray, gain: float, bound: float, dt: float
 ) -> FloatArray:
-    """Return the actor weights after following the critic for dt [s], shape (..., L)."""
-    step = -math.expm1(-learning.actor_gain * dt) * (critic_weights - actor_weights)
-    actor = actor_weights + project(step, actor_weights, learning.actor_weight_bound)
-    return bound_norm(actor, learning.actor_weight_bound)
+    """Return the actor weights after following the critic, shape (..., L).
+
+    Args:
+        actor_weights: Wa, shape (..., L).
+        critic_weights: Wc, shape (..., L).
+        gain: eta_a [1/s].
+        bound: Norm that the projection keeps Wa below.
+        dt: Time [s].
+
+    """
+    step = -math.expm1(-gain * dt) * (critic_weights - actor_weights)
+    actor = actor_weights + project(step, actor_weights, bound)
+    return bound_norm(actor, bound)
 
 
 def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:

@@ -13,6 +13,7 @@ _STRUCTURE = "the learner's arrays are sized by it"
 # Of s², s y, s θ, y², y θ, θ²: the Riccati solution for the default speed, gains and cost on a
 # straight line.
 _QUADRATIC_WEIGHTS = (0.905, 0.0, 0.0, 2.8284, 2.0, 1.4142)
+_MOST_PREVIEW = 1000  # knots
 
 SCHEDULINGS = ("path_state", "arc_length")
 WIDE_REGIONS = ("none", "riccati", "approach")
@@ -81,7 +82,7 @@ class LearningSettings:
         high=1e4,
     )
     actor_weight_bound: float = setting(
-        100.0,
+        1000.0,
         "Norm that the smooth projection keeps the actor weights below.",
         symbol="W̄",
         low=POSITIVE,
@@ -195,6 +196,11 @@ class LearningSettings:
                 f"setting 'preview_distance' is {self.preview_distance:g} m, but must be at least "
                 f"twice 'knot_spacing' ({self.knot_spacing:g} m)"
             )
+        if self.preview_distance > _MOST_PREVIEW * self.knot_spacing:
+            raise SettingsError(
+                f"setting 'preview_distance' is {self.preview_distance:g} m, but must be at most "
+                f"{_MOST_PREVIEW} times 'knot_spacing' ({self.knot_spacing:g} m)"
+            )
 
     def _check_size(self, name: str, given: int) -> None:
         labels = self.value_basis.labels
@@ -213,8 +219,14 @@ class LearningSettings:
 
 @dataclass(frozen=True)
 class PolicySettings:
-    """Far from the path."""
+    """Where nothing is learned, or nothing good."""
 
+    fallback: str = setting(
+        "riccati",
+        "Policy where the learned value function does not decrease as it must (the Bellman error "
+        "exceeds half of the running cost): the Riccati policy in the half-angle frame, or none.",
+        choices=("riccati", "none"),
+    )
     wide_region: str = setting(
         "approach",
         "Policy far from the path, where nothing is learned: drive towards the path at "

@@ -67,7 +67,13 @@ class PathStateLearner:
             self.weights = update_weights(self.weights, measured, self.sampled, self._learning, dt)
             return
         critic = least_squares(self.weights, self.sampled)
-        actor = follow(self.weights.actor, critic, self._learning, dt)
+        actor = follow(
+            self.weights.actor,
+            critic,
+            self._learning.actor_gain,
+            self._learning.actor_weight_bound,
+            dt,
+        )
         self.weights = Weights(critic, actor)
 
     def settle(

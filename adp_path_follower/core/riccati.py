@@ -62,7 +62,12 @@ def riccati_solution(curvature: float, target: TargetSettings, cost: CostSetting
 
 
 class RiccatiSchedule:
-    """P over the range of a path's curvature, interpolated from a table."""
+    """P over the range of a path's curvature, interpolated from a table.
+
+    Attributes:
+        table: P at equidistant curvatures, shape (K, 3, 3).
+
+    """
 
     def __init__(self, path: Path, target: TargetSettings, cost: CostSettings) -> None:
         """Solve the Riccati equation over the curvatures of the path.
@@ -78,12 +83,12 @@ class RiccatiSchedule:
         nodes = np.linspace(low, high, count) if high > low else np.array([0.0, 1.0])
         self._start, self._step = float(nodes[0]), float(nodes[1] - nodes[0])
         table = [riccati_solution(float(node), target, cost) for node in nodes]
-        self._table = np.array(table)
+        self.table = np.array(table)
 
     def matrix(self, curvature: FloatArray) -> FloatArray:
         """Return P at curvatures [1/m] of any shape (...), shape (..., 3, 3)."""
         position = (curvature - self._start) / self._step
-        position = np.fmin(np.fmax(position, 0.0), len(self._table) - 1.0)
-        node = np.minimum(position.astype(np.intp), len(self._table) - 2)
+        position = np.fmin(np.fmax(position, 0.0), len(self.table) - 1.0)
+        node = np.minimum(position.astype(np.intp), len(self.table) - 2)
         share = (position - node)[..., None, None]
-        return np.asarray((1.0 - share) * self._table[node] + share * self._table[node + 1])
+        return np.asarray((1.0 - share) * self.table[node] + share * self.table[node + 1])

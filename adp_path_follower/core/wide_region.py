@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from adp_path_follower.core.basis import make_basis
-from adp_path_follower.core.error_dynamics import input_matrix
+from adp_path_follower.core.fallback import RiccatiPolicy
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
-from adp_path_follower.core.policy import actor_input, saturate
+from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 
@@ -23,7 +22,7 @@ class WideRegion:
         self._riccati = riccati
         inverse = np.linalg.inv(settings.cost.input_cost_matrix())
         self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
-        self._basis = make_basis("polynomial", 2, "half_angle")
+        self._quadratic = RiccatiPolicy(settings, riccati)
 
     def blend(
         self,
@@ -45,18 +44,14 @@ class WideRegion:
         start, end = self._policy.wide_region_levels
         if not (level > start).any():
             return learned
-        matrix = self._riccati.matrix(curvature)
         share = np.clip((level - start) / (end - start), 0.0, 1.0)
         share = (share * share * (3.0 - 2.0 * share))[..., None]
-        wide = self._approach if self._policy.wide_region == "approach" else self._quadratic
-        far = saturate(wide(zeta, matrix), feedforward, self._limits)
+        if self._policy.wide_region == "approach":
+            wanted = self._approach(zeta, self._riccati.matrix(curvature))
+            far = saturate(wanted, feedforward, self._limits)
+        else:
+            far = self._quadratic.modified_input(zeta, curvature, feedforward)
         return np.asarray((1.0 - share) * learned + share * far)
-
-    def _quadratic(self, zeta: FloatArray, matrix: FloatArray) -> FloatArray:
-        """Return the Riccati policy in the half-angle frame, shape (..., 2)."""
-        input_gradient = np.matmul(self._basis.gradient(zeta), input_matrix(zeta))
-        weights = self._basis.quadratic_weights(matrix)
-        return actor_input(weights, input_gradient, self._input_cost_inverse)
 
     def _approach(self, zeta: FloatArray, matrix: FloatArray) -> FloatArray:
         """Return the Riccati law whose lateral part saturates into an approach angle, (..., 2).

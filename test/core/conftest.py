@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 from types import MappingProxyType
@@ -33,6 +34,7 @@ def paper():
             "scheduling": "path_state",
             "critic": "gradient",
             "wide_region": "none",
+            "fallback": "none",
             "initial_weights": "listed",
             "critic_gain_measured": 0.5,
             "critic_gain_sampled": 10.0,
@@ -56,6 +58,12 @@ def figure_eight():
 def printed():
     """Return the paper's formulas, written from the paper and for one state at a time."""
     return PrintedFormulas()
+
+
+@pytest.fixture(scope="session")
+def explicit():
+    """Return the class of explicit polynomials of the error."""
+    return ExplicitPolynomial
 
 
 class PrintedFormulas:
@@ -154,3 +162,32 @@ class PrintedFormulas:
         for delta, omega, p in sampled:
             critic_rate = critic_rate - gain_sampled / len(sampled) * omega * delta / p
         return critic_rate, -gain_actor * (actor - critic)
+
+
+class ExplicitPolynomial:
+    """All monomials of [s, y, theta] from degree 2 up, in plain Python for one state at a time."""
+
+    def __init__(self, degree, frame):
+        self.frame = frame
+        self.exponents = sorted(
+            (
+                powers
+                for powers in itertools.product(range(degree + 1), repeat=3)
+                if 2 <= sum(powers) <= degree
+            ),
+            key=lambda powers: (sum(powers), [-power for power in powers]),
+        )
+
+    def value(self, error):
+        """Return sigma at [s, y, theta], which may be complex."""
+        s, y, theta = error
+        if self.frame == "half_angle":
+            # The position error as a complex number, turned backwards by half the heading error.
+            cos, sin = cmath.cos(0.5 * theta), cmath.sin(0.5 * theta)
+            s, y = s * cos + y * sin, -s * sin + y * cos
+        return np.array([s**i * y**j * theta**k for i, j, k in self.exponents])
+
+    def gradient(self, error):
+        """Return sigma' with respect to s, y, theta by complex steps, shape (L, 3)."""
+        step = 1e-30j * np.eye(3)
+        return np.stack([self.value(error + step[i]).imag / 1e-30 for i in range(3)], axis=1)

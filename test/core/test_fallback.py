@@ -1,0 +1,95 @@
+"""Where the Riccati policy takes over, and that it is never the worse for it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adp_path_follower.core.fallback import RiccatiPolicy, distrust
+from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.geometry import pose_in_frame
+from adp_path_follower.core.path_library import lissajous, named_path
+from adp_path_follower.core.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.simulation import simulate
+
+UNLIMITED = {
+    "min_linear_vel": -math.inf,
+    "max_linear_vel": math.inf,
+    "max_angular_vel": math.inf,
+}
+STARTS = np.array([[0.9, 0.8, -0.9], [-0.8, 0.9, 1.0], [0.3, -0.95, -1.0], [-0.9, -0.9, 0.9]])
+positive = st.floats(1e-6, 1e6)
+
+
+@settings(max_examples=100, deadline=None)
+@given(cost=positive, share=st.floats(-2.0, 3.0), value=positive, ratio=st.floats(-2.0, 3.0))
+def test_trust_ends_where_the_value_falls_too_slowly_or_is_too_small(cost, share, value, ratio):
+    found = float(distrust(*map(np.array, (share * cost, cost, ratio * value, value))))
+    assert 0.0 <= found <= 1.0
+    if share <= 0.5 and ratio >= 0.5:
+        assert found == pytest.approx(0.0, abs=1e-5)
+    if share >= 0.8 + 1e-5 or ratio <= 0.25:
+        assert found == 1.0
+
+
+def test_on_the_path_nothing_is_doubted():
+    nothing = np.zeros(())
+    assert float(distrust(nothing, nothing, nothing, nothing)) == 0.0
+
+
+def test_the_riccati_policy_is_the_linear_one_near_the_path():
+    tuning, path = build(Settings, UNLIMITED), named_path("circle:0.5")
+    policy = RiccatiPolicy(tuning, RiccatiSchedule(path, tuning.target, tuning.cost))
+    error = 1e-5 * np.array([1.0, -2.0, 3.0])
+    found = policy.modified_input(np.append(error, 0.0), np.array(0.5), np.zeros(2))
+    solution = riccati_solution(0.5, tuning.target, tuning.cost)
+    np.testing.assert_allclose(found, -solution[[0, 2]] @ error, rtol=1e-3, atol=1e-9)
+    value = policy.value(np.append(error, 0.0), np.array(0.5))
+    assert float(value) == pytest.approx(error @ solution @ error, rel=1e-3)
+
+
+def test_weights_that_make_no_value_function_do_not_drive():
+    tuning = build(Settings, {**UNLIMITED, "learning": False})
+    sound = PathFollower(tuning, lissajous(), 5.0)
+    wrong = build(
+        Settings,
+        {
+            **flattened(tuning),
+            "initial_weights": "listed",
+            "initial_critic_weights": [-1.0, 0.0, 0.0, -1.0, 0.0, -1.0],
+            "initial_actor_weights": [-1.0, 0.0, 0.0, -1.0, 0.0, -1.0],
+        },
+    )
+    follower = PathFollower(wrong, lissajous(), 5.0)
+    pose = pose_in_frame(np.array([0.2, 0.3, 0.4]), lissajous().frame(5.0).pose)
+    output, expected = follower.step(pose, 0.01), sound.step(pose, 0.01)
+    assert output.doubt == 1.0
+    assert expected.doubt == 0.0
+    np.testing.assert_allclose(output.command, expected.command, atol=1e-3)
+    assert "does not decrease" in follower.learning_problem
+    assert sound.learning_problem == ""
+
+
+def flattened(tuning):
+    """Return the values of settings that differ from the defaults here."""
+    return {**UNLIMITED, "learning": tuning.learning.learning}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"state_cost": (1.0, 10.0, 1.0)},  # without the fallback one of forty starts costs 60 J*
+        {"input_cost": (0.2, 0.2)},
+        {"desired_speed": 0.1},
+    ],
+)
+def test_far_from_the_default_problem_it_is_no_worse_than_the_riccati_policy(change):
+    tuning = build(Settings, {**UNLIMITED, **change})
+    learned = simulate(tuning, lissajous(), STARTS, learning="warm", rate=50.0)
+    riccati = simulate(tuning, lissajous(), STARTS, learning="frozen", rate=50.0)
+    assert (learned.cost <= 1.02 * riccati.cost).all()
+    assert learned.cost.mean() < riccati.cost.mean()
