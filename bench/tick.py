@@ -19,6 +19,7 @@ import numpy as np
 
 from adp_path_follower.core.bellman import SampledModel, excitation
 from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.knot_model import KnotModel, fit
 from adp_path_follower.core.learner import update_weights
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import lissajous
@@ -26,6 +27,8 @@ from adp_path_follower.core.settings import Settings
 from adp_path_follower.shared_files import config_file
 
 ROUNDS, CALLS = 30, 200
+_TICKS = 20_000  # of which the slowest of a hundred is shown
+_FROZEN = ("learning=false",)
 
 
 def main() -> None:
@@ -34,6 +37,13 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the times [µs] and ratios here")
     arguments = parser.parse_args()
     settings = load_settings(Settings, "path_follower", config_file("paper.yaml"))
+    default = PathFollower(load_settings(Settings, "path_follower"), lissajous())
+    frozen = PathFollower(
+        load_settings(Settings, "path_follower", assignments=_FROZEN), lissajous()
+    )
+    knots = KnotModel(default.settings)
+    ahead = default.weights.critic
+    equations = knots.equations(slice(None), ahead, 0.1, 0.2)
     follower = PathFollower(settings, lissajous())
     pose = np.array([-0.4, -0.3, 0.7])
     output = follower.step(pose, 0.01)
@@ -42,13 +52,21 @@ def main() -> None:
     matrix, vector = np.eye(9) + 0.1 * rng.standard_normal((9, 9)), rng.standard_normal(9)
     cases: dict[str, Callable[[], object]] = {
         "numpy.linalg.solve, 9 x 9": lambda: np.linalg.solve(matrix, vector),
-        "Bellman sweep, 81 samples, 9 weights": lambda: model.sweep(weights.critic, weights.actor),
-        "weight update": lambda: update_weights(
+        "paper: Bellman sweep, 81 samples, 9 weights": lambda: model.sweep(
+            weights.critic, weights.actor
+        ),
+        "paper: weight update": lambda: update_weights(
             weights, output.measured, output.sampled, settings.learning, 0.01
         ),
-        "certificate": lambda: excitation(output.sampled.information),
+        "paper: certificate": lambda: excitation(output.sampled.information),
         "path frame": lambda: follower.path.frame(3.0),
-        "control tick: target, policy, learning": lambda: follower.step(pose, 0.01),
+        "paper: control tick": lambda: follower.step(pose, 0.01),
+        "default: Bellman errors, 192 samples": lambda: knots.equations(
+            slice(0, 192), ahead, 0.1, 0.2
+        ),
+        "default: solve for a knot, 80 weights": lambda: fit(equations),
+        "default: control tick, not learning": lambda: frozen.step(pose, 0.01),
+        "default: control tick": lambda: default.step(pose, 0.01),
     }
     times: dict[str, list[float]] = {name: [] for name in cases}
     for _ in range(ROUNDS):  # in turns, so that a slow moment of the machine hits all alike
@@ -62,6 +80,13 @@ def main() -> None:
     print(f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}")
     for name, median in medians.items():
         print(f"{name:<42}{median:9.1f} µs   {median / floor:7.1f} x solve")
+    ticks = []
+    for _ in range(_TICKS):
+        start = time.perf_counter()
+        default.step(pose, 0.01)
+        ticks.append(1e6 * (time.perf_counter() - start))
+    slow, slowest = np.quantile(ticks, 0.99), max(ticks)
+    print(f"default: of {_TICKS} ticks, 99 % within {slow:.0f} µs, the slowest {slowest:.0f} µs")
     if arguments.json:
         rows = {name: {"us": value, "ratio": value / floor} for name, value in medians.items()}
         arguments.json.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")

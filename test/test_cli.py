@@ -32,7 +32,7 @@ def test_help_teaches():
     assert overview.returncode == 0
     assert "paper" in overview.stdout
     assert "theorem" in adp("paper", "--help").stdout
-    for command in ("demo", "optimum", "simulate", "parameters"):
+    for command in ("compare", "demo", "optimum", "simulate", "parameters"):
         assert command in overview.stdout
         text = adp(command, "--help")
         assert text.returncode == 0
@@ -127,6 +127,10 @@ BAD_INPUT = [
     (["demo", "--out", "empty"], "output empty is a file"),
     (["paper", "--out", "full"], "output full holds files already"),
     (["optimum", "--horizon", "-1"], "horizon -1.0 s"),
+    (["compare", "--controllers", "adp,pid"], "unknown controller 'pid': choose from adp,"),
+    (["compare", "--out", "full"], "output full holds files already"),
+    (["compare", "--starts", "header.csv"], "has no column 's'"),
+    (["compare", "--duration", "0"], "horizon 0.0 s"),
 ]
 
 

@@ -118,7 +118,9 @@ def compare(
                 )
             )
         click.echo(_table(found[-1]) + "\n")
-    _write(found, directory)
+        # After each path, so that what was found stays if a later one is interrupted.
+        _write(found, directory, directory if len(paths) == 1 else directory / f"path_{len(found)}")
+    click.echo(f"In {directory}: compare.txt, compare.json and the figures")
     problems = [problem for item in found for problem in item.problems]
     for problem in problems:
         click.echo(f"adp: {problem}", err=True)
@@ -158,16 +160,14 @@ def _ratio(value: float) -> str:
     return f"{value:9.4f}" if value < 100.0 else f"{'>100' if np.isfinite(value) else 'failed':>9}"
 
 
-def _write(found: list[Comparison], directory: Path) -> None:
-    """Write the table, the numbers and the figures; say where."""
+def _write(found: list[Comparison], directory: Path, figures: Path) -> None:
+    """Write table and numbers of all paths so far, and the figures of the last one."""
     from adp_path_follower.analysis.comparison_figures import draw_comparison
 
     text = "\n\n".join(_table(item) for item in found)
     (directory / "compare.txt").write_text(text + "\n", encoding="utf-8")
     write_json(directory / "compare.json", {"paths": [_numbers(item) for item in found]})
-    for number, item in enumerate(found, start=1):
-        draw_comparison(item, directory if len(found) == 1 else directory / f"path_{number}")
-    click.echo(f"In {directory}: compare.txt, compare.json and the figures")
+    draw_comparison(found[-1], figures)
 
 
 def _numbers(found: Comparison) -> dict[str, Any]:

@@ -179,11 +179,11 @@ class Drive:
             "zero velocity",
         )
 
-    def until_diagnosed(self, text: str) -> None:
-        """Wait for a diagnostic ERROR that contains a text."""
+    def until_diagnosed(self, text: str, level: bytes = b"\x02") -> None:
+        """Wait for a diagnostic message of a level, ERROR by default, that contains a text."""
         self.peer.until(
             lambda: any(
-                text in status.message and status.level == b"\x02"
+                text in status.message and status.level == level
                 for array in self.diagnostics
                 for status in array.status
             ),

@@ -32,7 +32,10 @@ pytestmark = pytest.mark.nodes
         ({"desired_speed": "fast"}, "setting 'desired_speed' is 'fast', but must be a number"),
         ({"desired_speed": -1.0}, "setting 'desired_speed' is -1.0, but must be a number, above 0"),
         ({"input_cost": (1.0, -1.0)}, "setting 'input_cost' is [1.0, -1.0], but must be positive"),
-        ({"initial_critic_weights": (1.0, 2.0)}, "has 2 values, but the basis 'paper' needs 9"),
+        (
+            {"initial_weights": "listed", "initial_critic_weights": (1.0, 2.0)},
+            "has 2 values, but the basis 'polynomial' needs 80",
+        ),
         ({"basis": "cubic"}, "setting 'basis' is 'cubic', but must be one of paper"),
     ],
 )
@@ -178,7 +181,7 @@ def test_parameters_change_while_driving_or_are_refused(drive):
     for name, value, reason in (
         ("desired_speed", -1.0, "desired_speed"),
         ("input_cost", [1.0, 0.0], "positive definite"),
-        ("initial_actor_weights", [1.0], "needs 9"),
+        ("sample_half_widths", [1.0, 1.0, 1.0, 1.0], "below 1"),
         ("controller_frequency", 20.0, "read-only"),
         ("basis", "paper_misprinted", "read-only"),
     ):
@@ -193,6 +196,16 @@ def test_parameters_change_while_driving_or_are_refused(drive):
     assert max(command.twist.linear.x for command in drive.commands) <= 0.25
     # An integer where a number is meant is no reason to refuse.
     assert peer.set_parameter("path_follower", "max_linear_vel", 1).successful
+
+
+def test_learning_that_goes_wrong_is_told_and_the_robot_drives_on(peer, start):
+    drive = Drive(peer, start, actor_weight_bound=0.5)  # smaller than any useful weights
+    drive.until_diagnosed("Riccati policy instead of the learned one", level=b"\x01")
+    assert "learning has gone wrong: the critic's weights have norm" in drive.controller.output()
+    drive.until_moving()
+    assert peer.set_parameter("path_follower", "actor_weight_bound", 1000.0).successful
+    peer.until(lambda: "learning succeeds again" in drive.controller.output(), "the recovery")
+    drive.until_moving()
 
 
 def test_reset_learning_answers(drive):

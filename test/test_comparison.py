@@ -1,0 +1,163 @@
+"""`adp compare`: its numbers against those of other commands, and what it does with failures."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adp_path_follower.comparison import CONTROLLERS, Outcome, compare, contenders
+from adp_path_follower.core.controller import ControlOutput, VirtualTarget
+from adp_path_follower.core.path_library import circle, named_path
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.simulation import simulate
+
+OPTIMUM = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
+UNLIMITED = {
+    "min_linear_vel": -math.inf,
+    "max_linear_vel": math.inf,
+    "max_angular_vel": math.inf,
+}
+STARTS = np.array(OPTIMUM["forty_starts"]["e0"])[:3]
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Return three quick controllers from three starts on a circle."""
+    names = ["adp", "lqr", "lapierre_soetanto"]
+    return compare(build(Settings, UNLIMITED), "circle:1.0", circle(1.0), STARTS, names)
+
+
+def test_optima_are_those_of_the_reference(found):
+    np.testing.assert_allclose(
+        found.optimal_cost, OPTIMUM["forty_starts"]["circle1.0"]["costs"][:3], rtol=1e-5
+    )
+    assert found.problems == ()
+
+
+def test_costs_are_those_of_a_simulation_of_the_same_controller(found):
+    for item, outcome in zip(
+        contenders(build(Settings, UNLIMITED), ["adp", "lqr"]), found.outcomes, strict=False
+    ):
+        result = simulate(
+            item.settings,
+            circle(1.0),
+            STARTS,
+            learning=item.learning,
+            controller=item.factory,
+            rate=item.rate,
+        )
+        np.testing.assert_allclose(outcome.cost, result.cost, rtol=1e-9)
+        np.testing.assert_allclose(outcome.cost_ratio * found.optimal_cost, result.cost, rtol=1e-9)
+        assert not outcome.failed.any()
+
+
+def test_nobody_is_better_than_the_optimum_and_the_learned_policy_is_nearest(found):
+    best = {outcome.name: outcome.quantile(1.0) for outcome in found.outcomes}
+    assert min(outcome.cost_ratio.min() for outcome in found.outcomes) > 1.0 - 1e-4
+    assert best["adp"] < 1.005 < best["lqr"] < best["lapierre_soetanto"]
+
+
+def test_a_lap_is_measured_after_its_first_ten_seconds(found):
+    lap = 2.0 * math.pi / 0.5
+    for outcome in found.outcomes:
+        assert outcome.lap_time[0] == pytest.approx(10.0)
+        assert outcome.lap_time[-1] == pytest.approx(10.0 + lap, abs=0.011)
+        assert outcome.cross_track_rms <= outcome.cross_track_max
+
+
+class Standing:
+    """A controller that never moves."""
+
+    def __init__(self, settings, path, arc_length):
+        self.settings, self.path = settings, path
+        self.target = VirtualTarget(path, settings.target, arc_length)
+
+    def step(self, pose, dt):
+        """Return a zero command."""
+        frame, error = self.target.move(pose, dt)
+        command = np.zeros((len(pose), 2))
+        return ControlOutput(
+            command, command, error, frame.pose, self.target.arc_length, frame.curvature
+        )
+
+
+def test_the_distance_from_the_path_is_that_to_its_nearest_place(monkeypatch):
+    from adp_path_follower import comparison
+
+    item = comparison.Contender(
+        "standing", build(Settings, UNLIMITED), Standing, "frozen", rate=20.0
+    )
+    monkeypatch.setattr(comparison, "contenders", lambda settings, names: [item])
+    result = compare(
+        build(Settings, UNLIMITED), "line", named_path("line"), np.array([[0.0, 2.0, 0.0]]), ["x"]
+    )
+    (outcome,) = result.outcomes
+    assert outcome.failed.all()  # two metres from the path at the end
+    assert math.isinf(outcome.quantile(0.5))
+    np.testing.assert_allclose(outcome.cross_track, 0.25, atol=1e-9)  # the paper's start
+
+
+def test_starts_without_an_optimum_count_in_all_but_the_ratio():
+    outcome = Outcome(
+        name="x",
+        cost_ratio=np.array([1.0, 3.0, math.nan, math.nan]),
+        cost=np.ones(4),
+        failed=np.array([False, False, False, True]),
+        settling_time=np.ones(4),
+        effort=np.ones(4),
+        lap_time=np.ones(1),
+        cross_track=np.array([-2.0]),
+        step_time=1e-3,
+    )
+    assert outcome.quantile(0.0) == 1.0
+    assert outcome.quantile(0.5) == 3.0
+    assert outcome.quantile(1.0) == math.inf  # the failure
+    assert outcome.cross_track_max == 2.0
+
+
+def test_the_paper_runs_with_its_own_learner_on_the_same_problem():
+    task = build(Settings, {**UNLIMITED, "desired_speed": 0.3, "input_cost": (2.0, 1.0)})
+    (item,) = contenders(task, ["paper"])
+    assert (item.settings.target, item.settings.cost) == (task.target, task.cost)
+    assert item.settings.learning.basis == "paper"
+
+
+def test_the_command_writes_table_numbers_and_figures(tmp_path):
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "adp_path_follower.cli.main", "compare", "--unlimited"),
+            *("--path", "circle:1.0", "--start", "-0.5", "0.25", "-0.5", "--out", "out"),
+            *("--controllers", "adp,lqr"),
+        ],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=120,
+        env={**os.environ, "COLUMNS": "100"},
+    )
+    assert done.returncode == 0, done.stderr
+    table = (tmp_path / "out" / "compare.txt").read_text()
+    assert table.strip() in done.stdout
+    numbers = json.loads((tmp_path / "out" / "compare.json").read_text())["paths"][0]
+    assert [item["name"] for item in numbers["controllers"]] == ["adp", "lqr"]
+    assert f"{numbers['controllers'][0]['cost_ratio_median']:.4f}" in table
+    for name in ("cost.png", "cross_track.png", "cost_per_step.png"):
+        assert (tmp_path / "out" / name).stat().st_size > 5000
+
+
+def test_the_list_names_every_controller():
+    done = subprocess.run(
+        [sys.executable, "-m", "adp_path_follower.cli.main", "compare", "--list"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert [line.split()[0] for line in done.stdout.splitlines()] == list(CONTROLLERS)
