@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.comparison import Comparison, Outcome
@@ -107,19 +107,30 @@ def _cost_per_step(found: Comparison) -> Figure:
     """Draw loss against the computing time of a control step."""
     figure = Figure(figsize=(7.0, 4.5))
     axes: Axes = figure.subplots()
-    for outcome in found.outcomes:
+    ranked = sorted(found.outcomes, key=lambda outcome: outcome.quantile(0.95))
+    for number, outcome in enumerate(ranked):
         loss = outcome.quantile(0.95) - 1.0
         if not math.isfinite(loss):
             continue
         place = (1e3 * outcome.step_time, max(loss, _LEAST_LOSS))
         axes.plot(*place, "o", color=_color(outcome.name))
-        axes.annotate(outcome.name, place, textcoords="offset points", xytext=(5, 4), fontsize=8)
+        # Neighbours get their names on different sides.
+        side, offset = ("left", 6) if number % 2 else ("right", -6)
+        axes.annotate(
+            outcome.name,
+            place,
+            textcoords="offset points",
+            xytext=(offset, 0),
+            ha=side,
+            va="center",
+            fontsize=8,
+        )
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.margins(x=0.25, y=0.1)
+    axes.margins(x=0.35, y=0.1)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.xaxis.set_minor_formatter(FormatStrFormatter("%g"))
-    axes.tick_params(axis="x", which="minor", labelsize=7)
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("computing time of one control step [ms], this machine")
     axes.set_ylabel("loss J/J* − 1, 95th percentile")
     axes.set_title(f"Cost against computing time, {found.path_name}")
