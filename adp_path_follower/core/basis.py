@@ -186,7 +186,7 @@ class HalfAngleBasis:
 
     def value(self, zeta: FloatArray) -> FloatArray:
         """Return sigma at states of shape (..., 4), shape (..., L)."""
-        return self._basis.value(_half_angle(zeta)[0])
+        return self._basis.value(half_angle_state(zeta))
 
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
@@ -205,6 +205,11 @@ class HalfAngleBasis:
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
         return self._basis.quadratic_weights(matrix)
+
+
+def half_angle_state(zeta: FloatArray) -> FloatArray:
+    """Return states (..., 4) with a and b in the places of s and y, shape (..., 4)."""
+    return _half_angle(zeta)[0]
 
 
 def _half_angle(zeta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

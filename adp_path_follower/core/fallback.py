@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adp_path_follower.core.basis import make_basis
+from adp_path_follower.core.basis import half_angle_state, make_basis
 from adp_path_follower.core.error_dynamics import input_matrix
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.policy import actor_input, saturate
@@ -45,8 +45,9 @@ class RiccatiPolicy:
 
     def value(self, zeta: FloatArray, curvature: FloatArray) -> FloatArray:
         """Return q^T P q at states (..., 4), shape (...)."""
-        weights = self._basis.quadratic_weights(self._riccati.matrix(curvature))
-        return np.asarray((weights * self._basis.value(zeta)).sum(axis=-1))
+        half_angle_error = half_angle_state(zeta)[..., :3]
+        pulled = np.matmul(self._riccati.matrix(curvature), half_angle_error[..., None])[..., 0]
+        return np.asarray((half_angle_error * pulled).sum(axis=-1))
 
 
 def distrust(

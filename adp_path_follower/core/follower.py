@@ -178,9 +178,10 @@ class PathFollower:
         feedforward = error_dynamics.feedforward(frame.curvature, target)
         drift = error_dynamics.drift(zeta, frame.curvature, target)
         local = self._learner.local(self.arc_length)
-        passing = np.zeros(())
-        if local.slope is not None:  # the value function changes along the path by itself
+        terms = passing = np.zeros(())
+        if local.slope is not None or self._fallback is not None:
             terms = basis.value(zeta)
+        if local.slope is not None:  # the value function changes along the path by itself
             passing = error_dynamics.target_speed(error, target) * (local.slope * terms).sum(-1)
 
         def measured(applied: FloatArray) -> tuple[FloatArray, BellmanErrors]:
@@ -196,7 +197,7 @@ class PathFollower:
         doubt = np.zeros_like(running_cost)
         learned = applied
         if self._fallback is not None:
-            value = (local.weights.critic * basis.value(zeta)).sum(-1)
+            value = (local.weights.critic * terms).sum(-1)
             safe_value = self._fallback.value(zeta, frame.curvature)
             doubt = distrust(errors.error[..., 0], running_cost, value, safe_value)
             if doubt.any():

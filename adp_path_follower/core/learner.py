@@ -170,8 +170,11 @@ def follow(
 
     """
     step = -math.expm1(-gain * dt) * (critic_weights - actor_weights)
-    actor = actor_weights + project(step, actor_weights, bound)
-    return bound_norm(actor, bound)
+    actor = actor_weights + step
+    largest = max(float((actor_weights**2).sum(-1).max()), float((actor**2).sum(-1).max()))
+    if largest <= bound**2:  # inside the ball the projection changes nothing
+        return actor
+    return bound_norm(actor_weights + project(step, actor_weights, bound), bound)
 
 
 def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:
@@ -197,8 +200,6 @@ def project(step: FloatArray, actor_weights: FloatArray, bound: float) -> FloatA
     around it the outward part of the step fades out, and is gone at its outer edge.
     """
     squared_norm = np.einsum("...l,...l->...", actor_weights, actor_weights)
-    if squared_norm.max(initial=0.0) <= bound**2:
-        return step
     outer = (1.0 + _PROJECTION_LAYER) * bound
     depth = np.clip((squared_norm - bound**2) / (outer**2 - bound**2), 0.0, 1.0)
     outward = np.einsum("...l,...l->...", actor_weights, step)
