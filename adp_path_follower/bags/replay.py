@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import yaml
 
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.errors import FileError
@@ -46,17 +47,16 @@ def replay(run: Run) -> Replay:
     """Replay a run whose control steps were started by odometry (control_trigger: odometry).
 
     Raises:
-        FileError: The bag lacks odometry, commands, path or configuration, or its steps were
-            started by a timer.
+        FileError: The bag lacks odometry, commands, path or configuration, its steps were started
+            by a timer, or a pose is none that a robot can have.
 
     """
     for name in ("odom", "cmd_vel"):
         if name not in run.series:
             raise FileError(f"the bag has no messages on '{name}': nothing to replay")
-    configuration = parse_yaml(run.configuration) if run.configuration else None
-    if not isinstance(configuration, dict) or not len(run.path_points):
-        raise FileError("the bag has no path or no path_follower/configuration to replay")
-    settings = build(Settings, configuration["settings"])
+    if not len(run.path_points):
+        raise FileError("the bag has no path: nothing to replay")
+    settings = _settings(run.configuration)
     if settings.controller.control_trigger != "odometry":
         raise FileError("the bag was recorded with control_trigger: timer; replay needs odometry")
     path = Path.from_points(run.path_points)
@@ -72,12 +72,31 @@ def replay(run: Run) -> Replay:
     if not len(steps):
         raise FileError("no command in the bag answers an odometry message: nothing to replay")
     odometry, commands = odometry[in_odometry], commands[in_commands]
+    if not np.isfinite(odometry[:, :3]).all():
+        raise FileError("the bag has odometry that is not finite: it cannot be replayed")
     at_beginning = settings.controller.path_start == "beginning"
     follower = PathFollower(settings, path, 0.0 if at_beginning else path.nearest(odometry[0, :3]))
     outputs = []
     for row, stamp in zip(odometry, steps, strict=True):
-        outputs.append(follower.step_at(row[:3], int(stamp)))
+        try:
+            with np.errstate(all="ignore"):  # a damaged pose is told below, once
+                outputs.append(follower.step_at(row[:3], int(stamp)))
+        except (ArithmeticError, LookupError, ValueError):  # where no robot ever was
+            pose = ", ".join(f"{value:g}" for value in row[:3])
+            raise FileError(f"no command follows from the pose ({pose}) at {stamp} ns") from None
         if not path.closed and float(follower.arc_length) >= path.length:
             break  # the goal: from here on the node commands zero velocity
     count = len(outputs)
     return Replay(follower, steps[:count], odometry[:count], commands[:count], outputs)
+
+
+def _settings(configuration: str) -> Settings:
+    """Return the settings in what the controller said it runs with."""
+    try:
+        content = parse_yaml(configuration)
+    except yaml.YAMLError:
+        content = None
+    values = content.get("settings") if isinstance(content, dict) else None
+    if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+        raise FileError("the bag has no sound path_follower/configuration: nothing to replay")
+    return build(Settings, values)

@@ -1,13 +1,14 @@
 """Write rosbag2 bags (MCAP) that survive the end of the writing process at any moment.
 
 Messages are not gathered in chunks, so everything up to the last `flush` can be read even if the
-process was killed; `close` adds index, statistics and the final metadata.yaml.
+process was killed; `close` adds index, statistics and the final metadata.yaml. A bag that is made
+from another one has chunks instead: it can be made again, and chunks bring an index of messages.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,30 +20,64 @@ from adp_path_follower.core.errors import FileError
 
 _METADATA_VERSION = 9  # rosbag2 of ROS 2 Jazzy
 _LIBRARY = "adp_path_follower"
+_MOST_TOPICS = 2**16 - 1
 
 
 class UnknownTypeError(FileError):
     """Report a message type whose definition is not known."""
 
 
-@dataclass
-class _Topic:
+@dataclass(frozen=True)
+class TopicDefinition:
+    """A topic as a bag describes it.
+
+    Attributes:
+        name: The topic.
+        type_name: Its message type.
+        schema_encoding: What the definition of the type is written in, as ros2msg.
+        schema: The definition.
+        type_hash: Hash of the type (RIHS01), empty if it is not known.
+        qos_profiles: QoS profiles of its publishers.
+        message_encoding: How messages are serialised.
+        metadata: What the channel says beside.
+
+    """
+
     name: str
     type_name: str
-    type_hash: str
-    qos_profiles: list[dict[str, Any]]
+    schema_encoding: str
+    schema: bytes
+    type_hash: str = ""
+    qos_profiles: Sequence[dict[str, Any]] = ()
+    message_encoding: str = "cdr"
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class _Topic:
+    definition: TopicDefinition
     message_count: int = 0
 
 
 class BagWriter:
     """A bag that is being written."""
 
-    def __init__(self, directory: Path, custom_data: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        custom_data: Mapping[str, str] | None = None,
+        *,
+        chunked: bool = False,
+        information: Mapping[str, str] | None = None,
+    ) -> None:
         """Create the bag's directory and file.
 
         Args:
             directory: The bag: a directory that must not exist yet.
             custom_data: What metadata.yaml shall say beside the usual.
+            chunked: Gather messages in chunks, with an index and checksums; they are lost if the
+                process is killed.
+            information: Entries of metadata.yaml that replace the usual ones.
 
         Raises:
             FileError: The directory exists, or cannot be made.
@@ -57,13 +92,14 @@ class BagWriter:
             raise FileError(f"bag {directory} cannot be made: {error.strerror}") from None
         self.directory = directory
         self._custom_data = dict(custom_data or {})
+        self._information = dict(information or {})
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
         self._topics: dict[int, _Topic] = {}
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._first_time: int | None = None
         self._last_time = 0
         self._mcap = Writer(
-            self._file, use_chunking=False, compression=CompressionType.NONE, enable_crcs=True
+            self._file, use_chunking=chunked, compression=CompressionType.NONE, enable_crcs=True
         )
         self._mcap.start(profile="ros2", library=_LIBRARY)
         self._write_metadata()
@@ -84,30 +120,52 @@ class BagWriter:
         """
         if type_name not in self._typestore.fielddefs:
             raise UnknownTypeError(f"topic {name} has the unknown type {type_name}: not recorded")
-        if type_name not in self._schemas:
-            definition, _ = self._typestore.generate_msgdef(type_name, ros_version=2)
-            self._schemas[type_name] = self._mcap.register_schema(
-                type_name, "ros2msg", definition.encode()
-            )
+        definition, _ = self._typestore.generate_msgdef(type_name, ros_version=2)
         profiles = [dict(profile) for profile in qos_profiles]
-        channel = self._mcap.register_channel(
-            name,
-            "cdr",
-            self._schemas[type_name],
-            {"offered_qos_profiles": yaml.safe_dump(profiles, sort_keys=False)},
+        number = self.copy_topic(
+            TopicDefinition(
+                name,
+                type_name,
+                "ros2msg",
+                definition.encode(),
+                self._typestore.hash_rihs01(type_name),
+                profiles,
+                metadata={"offered_qos_profiles": yaml.safe_dump(profiles, sort_keys=False)},
+            )
         )
-        type_hash = self._typestore.hash_rihs01(type_name)
-        self._topics[channel] = _Topic(name, type_name, type_hash, profiles)
         self._write_metadata()
-        return channel
+        return number
+
+    def copy_topic(self, topic: TopicDefinition) -> int:
+        """Add a topic as it is defined elsewhere; metadata.yaml shows it after `close`.
+
+        Raises:
+            FileError: There are more topics than the format can number.
+
+        """
+        if len(self._topics) >= _MOST_TOPICS:
+            raise FileError(f"bag {self.directory} cannot hold more than {_MOST_TOPICS} topics")
+        key = (topic.type_name, topic.schema_encoding, topic.schema)
+        if key not in self._schemas:
+            self._schemas[key] = self._mcap.register_schema(*key)
+        channel = self._mcap.register_channel(
+            topic.name, topic.message_encoding, self._schemas[key], dict(topic.metadata)
+        )
+        self._topics[channel] = _Topic(topic)
+        return int(channel)
 
     def write(self, topic: int, message: bytes, log_time: int, publish_time: int) -> None:
         """Write a serialised message with its times [ns]; log times never go back."""
-        log_time = max(log_time, self._last_time)
-        if self._first_time is None:
-            self._first_time = log_time
-        self._last_time = log_time
-        self._mcap.add_message(topic, log_time, message, publish_time)
+        self.copy(topic, message, max(log_time, self._last_time), publish_time)
+
+    def copy(
+        self, topic: int, message: bytes, log_time: int, publish_time: int, sequence: int = 0
+    ) -> None:
+        """Write a serialised message with its times [ns] as they are; they may go back."""
+        first = self._first_time
+        self._first_time = log_time if first is None else min(first, log_time)
+        self._last_time = max(log_time, self._last_time)
+        self._mcap.add_message(topic, log_time, message, publish_time, sequence)
         self._topics[topic].message_count += 1
 
     def flush(self) -> None:
@@ -136,11 +194,11 @@ class BagWriter:
             "topics_with_message_count": [
                 {
                     "topic_metadata": {
-                        "name": topic.name,
-                        "type": topic.type_name,
-                        "serialization_format": "cdr",
-                        "offered_qos_profiles": topic.qos_profiles,
-                        "type_description_hash": topic.type_hash,
+                        "name": topic.definition.name,
+                        "type": topic.definition.type_name,
+                        "serialization_format": topic.definition.message_encoding,
+                        "offered_qos_profiles": list(topic.definition.qos_profiles),
+                        "type_description_hash": topic.definition.type_hash,
                     },
                     "message_count": topic.message_count,
                 }
@@ -152,6 +210,7 @@ class BagWriter:
             "files": [{"path": name, **span}],
             "custom_data": self._custom_data or None,
             "ros_distro": "jazzy",
+            **self._information,
         }
         content = yaml.dump(
             {"rosbag2_bagfile_information": information}, Dumper=_PlainDumper, sort_keys=False

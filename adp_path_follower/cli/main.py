@@ -12,11 +12,13 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.threads import use_one_blas_thread
 
 _COMMANDS = {
+    "analyze": "Turn the bags of runs into one report.",
     "compare": "Compare the controller with its peers, and all with the offline optimum.",
     "demo": "Drive the paper's figure eight with real ROS 2 nodes.",
     "optimum": "Find what the best controller would cost, by offline optimal control.",
     "paper": "Reproduce the paper's figures, and what they do not show.",
     "parameters": "Show the parameters, as a YAML file or as a table.",
+    "recover": "Save what can be read of a torn recording into a new bag.",
     "simulate": "Simulate the closed loop without ROS, from one or many starts.",
 }
 

@@ -1,0 +1,72 @@
+"""Judge the message definitions in a bag by what rosbags makes of them."""
+
+from __future__ import annotations
+
+import functools
+
+from mcap.records import Schema
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+_MOST_BYTES = 1024 * 1024  # of a definition; ROS's longest have 50 kB
+_IDL_LINE = "=" * 80 + "\n"
+_ROS_ENCODINGS = ("ros2msg", "ros2idl", "omgidl")
+_FOREIGN_ENCODINGS = ("ros1msg", "protobuf", "flatbuffer", "jsonschema")
+
+
+class MessageDefinition:
+    """The definition of one message type."""
+
+    def __init__(self, name: str, encoding: str, data: bytes) -> None:
+        """Parse the definition of a type, as far as it is one of ROS."""
+        self.name = name
+        self.is_ros = encoding in _ROS_ENCODINGS
+        self.type_hash = ""
+        self._store: Typestore | None = None
+        # Of other encodings, and of one that was not found when it was recorded, nothing is known.
+        self._is_foreign = encoding in _FOREIGN_ENCODINGS or not (encoding or data)
+        if not self.is_ros or len(data) > _MOST_BYTES:
+            return
+        try:
+            store = get_typestore(Stores.EMPTY)
+            if encoding == "ros2msg":
+                store.register(get_types_from_msg(data.decode(), name))
+            else:
+                for part in data.decode().split(_IDL_LINE):
+                    body = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
+                    store.register(get_types_from_idl(body) if body.strip() else {})
+            self.type_hash = store.hash_rihs01(name)
+            self._store = store
+        except Exception:  # rosbags raises whatever a damaged text leads its parser to
+            self.type_hash = ""
+
+    @property
+    def is_usable(self) -> bool:
+        """Return whether readers can make something of it; others than ROS's are not looked at."""
+        return self._store is not None or self._is_foreign
+
+    def fits(self, message: bytes) -> bool:
+        """Return whether a serialised message can be decoded to its last byte."""
+        if self._store is None:
+            return False
+        try:
+            decoded = self._store.deserialize_cdr(message, self.name)
+            length = len(self._store.serialize_cdr(decoded, self.name))
+        except Exception:  # as above
+            return False
+        return abs(length - len(message)) <= 3  # serialisers may pad to four bytes
+
+
+@functools.lru_cache(maxsize=256)
+def message_definition(name: str, encoding: str, data: bytes) -> MessageDefinition:
+    """Return what a schema defines; parsing takes some milliseconds."""
+    return MessageDefinition(name, encoding, data)
+
+
+def jazzy_schema(schema: Schema) -> Schema | None:
+    """Return ROS 2 Jazzy's own definition of a type, if it knows the type."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    if schema.name not in store.fielddefs:
+        return None
+    text, _ = store.generate_msgdef(schema.name, ros_version=2)
+    return Schema(id=schema.id, name=schema.name, encoding="ros2msg", data=text.encode())

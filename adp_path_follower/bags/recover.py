@@ -1,0 +1,349 @@
+"""Make a new, whole bag of what can be read in a torn one."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import yaml
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from adp_path_follower.bags.definitions import (
+    MessageDefinition,
+    jazzy_schema,
+    message_definition,
+)
+from adp_path_follower.bags.mcap_chunk import read_chunk, unpack_chunk
+from adp_path_follower.bags.mcap_scan import (
+    LATEST_TIME,
+    MAGIC,
+    MESSAGE_HEAD,
+    Record,
+    RecordScanner,
+    read_definition,
+)
+from adp_path_follower.bags.torn_metadata import (
+    TornMetadata,
+    read_torn_metadata,
+    sound_qos_profiles,
+)
+from adp_path_follower.bags.writer import BagWriter, TopicDefinition
+from adp_path_follower.core.errors import FileError
+
+_SQLITE_MAGIC = b"SQLite format 3\0"
+_MOST_TAIL, _MOST_SUMMARY = 64 * 1024, 32 * 1024 * 1024  # where a summary is looked for
+_PROGRESS_STEP = 1024 * 1024
+_FOOTER = bytes([Opcode.FOOTER, 20]) + bytes(7)
+_FOOTER_SIZE = 29
+_SUMMARY_OPCODES = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+    Opcode.SUMMARY_OFFSET,
+)
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What came out of a torn bag.
+
+    Attributes:
+        bag: The new bag.
+        message_counts: Topic -> number of messages saved.
+        bytes_read: Size of the torn bag's files.
+        bytes_left: How much of it could not be used; in a compressed chunk, counted unpacked.
+
+    """
+
+    bag: Path
+    message_counts: Mapping[str, int]
+    bytes_read: int
+    bytes_left: int
+
+
+def recover(
+    bag: Path, output: Path | None = None, progress: Callable[[float], None] = lambda _: None
+) -> Recovery:
+    """Copy all messages that can be read into a new bag, with their bytes, times and schemas.
+
+    How unreadable stretches are found and passed is told at `RecordScanner.records`. What a chunk
+    holds is left as a whole if its checksum is wrong, as nobody can tell which message is meant;
+    of a chunk that is cut off, the whole messages are saved. Where there is no checksum (a file
+    without chunks, a chunk that lost its beginning or its end), bits that changed within a message
+    cannot be seen. Attachments are not copied. A record or unpacked chunk of more than 128 MiB is
+    left, as memory is bounded.
+
+    Args:
+        bag: A bag's directory, or one .mcap file. It is not changed.
+        output: The new bag; by default beside the old one, named NAME_recovered.
+        progress: Takes the fraction done.
+
+    Returns:
+        What was saved.
+
+    Raises:
+        FileError: There is no such bag, it holds nothing to recover, or the new one exists or
+            cannot be written.
+
+    """
+    try:
+        files = _storage_files(bag)
+        name = bag.stem if bag.is_file() else bag.resolve().name
+        target = output or (bag.resolve().parent / f"{name}_recovered")
+        metadata = read_torn_metadata((bag.parent if bag.is_file() else bag) / "metadata.yaml")
+        sizes = [file.stat().st_size for file in files]
+    except (OSError, ValueError) as error:
+        if isinstance(error, FileError):
+            raise
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise FileError(f"bag {str(bag)!r} cannot be read: {reason}") from None
+    writer = _new_bag(target, metadata)
+    copy = _Copy(writer, metadata)
+    try:
+        total = max(1, sum(sizes))
+        for index, (file, size) in enumerate(zip(files, sizes, strict=True)):
+            copy.add_file(file, size, _shifted(progress, sum(sizes[:index]), total))
+        if not copy.has_topics and not any(map(_has_magic, files)):
+            raise FileError(f"bag {bag} holds nothing that could be recovered: is it an MCAP bag?")
+        writer.close()
+    except BaseException as error:
+        shutil.rmtree(target, ignore_errors=True)  # we made it, and nobody can use half of it
+        if isinstance(error, OSError) and not isinstance(error, FileError):
+            raise FileError(f"bag {bag} not recovered to {target}: {error.strerror}") from None
+        raise
+    return Recovery(target, dict(copy.message_counts), sum(sizes), copy.bytes_left)
+
+
+def _new_bag(directory: Path, metadata: TornMetadata) -> BagWriter:
+    try:
+        return BagWriter(directory, metadata.custom_data, chunked=True, information=metadata.kept)
+    except FileError:
+        raise
+    except OSError as error:  # a full disk
+        raise FileError(f"bag {directory} cannot be written: {error.strerror}") from None
+
+
+def _storage_files(bag: Path) -> list[Path]:
+    """Return the MCAP files of a bag, in the order they were recorded."""
+    if not bag.exists():
+        raise FileError(f"bag {bag} does not exist")
+    if bag.is_dir():
+        files = [file for file in bag.iterdir() if file.is_file()]
+        found = [file for file in files if file.suffix == ".mcap"]
+        if not found and any(file.suffix == ".db3" for file in files):
+            raise FileError(_sqlite_sentence(bag))
+        if not found and any(file.suffix == ".zstd" for file in files):
+            raise FileError(f"bag {bag} has compressed files: unpack them first with `zstd -d`")
+        if not found:
+            raise FileError(f"bag {bag} holds no .mcap file: give a bag's directory or its file")
+        # rosbag2 numbers the files: bag_2.mcap comes before bag_10.mcap.
+        found.sort(key=lambda file: [_number(part) for part in re.split(r"(\d+)", file.name)])
+        if all(file.stat().st_size == 0 for file in found):
+            raise FileError(f"bag {bag} is empty: nothing was written before the recording ended")
+        return found
+    if not bag.is_file():
+        raise FileError(f"bag {bag} is neither a directory nor a file: give a bag")
+    with bag.open("rb") as stream:
+        head = stream.read(len(_SQLITE_MAGIC))
+    if head == _SQLITE_MAGIC or bag.suffix == ".db3":
+        raise FileError(_sqlite_sentence(bag))
+    if not head:
+        raise FileError(f"bag {bag} is empty: nothing was written before the recording ended")
+    if bag.suffix != ".mcap" and not head.startswith(MAGIC):
+        raise FileError(f"file {bag} is no MCAP file: give a bag's directory or its .mcap file")
+    return [bag]
+
+
+def _shifted(progress: Callable[[float], None], before: int, total: int) -> Callable[[int], None]:
+    """Return what takes the place in a file and reports the fraction of all files."""
+    return lambda offset: progress((before + offset) / total)
+
+
+def _sqlite_sentence(bag: Path) -> str:
+    return f"bag {bag} is an sqlite3 bag (.db3), not MCAP: recover it with `sqlite3 FILE .recover`"
+
+
+def _number(part: str) -> tuple[int, str]:
+    return (int(part), "") if part.isdecimal() and part.isascii() else (-1, part)
+
+
+def _has_magic(file: Path) -> bool:
+    with file.open("rb") as stream:
+        return stream.read(len(MAGIC)) == MAGIC
+
+
+class _Copy:
+    """The way of a torn bag's files into a new bag; judges messages for the scanner."""
+
+    def __init__(self, writer: BagWriter, metadata: TornMetadata) -> None:
+        self.message_counts: Counter[str] = Counter()
+        self.bytes_left = 0
+        self._writer = writer
+        self._metadata = metadata
+        self._numbers: dict[tuple[str, str, str, str, bytes], int] = {}
+        self._start_file()
+
+    def _start_file(self) -> None:
+        """Forget the numbers of schemas and channels, which hold within a file."""
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, tuple[int, str, Schema]] = {}
+        self._certain: set[tuple[type, int]] = set()
+
+    @property
+    def has_topics(self) -> bool:
+        """Return whether a topic has been found."""
+        return bool(self._numbers)
+
+    def knows_channel(self, channel: int) -> bool:
+        """Return whether the channel has been defined."""
+        return channel in self._channels
+
+    def is_whole(self, message: bytes) -> bool:
+        """Return whether the body of a message record can be decoded to its last byte."""
+        channel, _, _, _ = MESSAGE_HEAD.unpack_from(message)
+        if channel not in self._channels:
+            return False
+        return _meaning(self._channels[channel][2]).fits(message[MESSAGE_HEAD.size :])
+
+    def add_file(self, file: Path, size: int, progress: Callable[[int], None]) -> None:
+        """Copy what one file holds."""
+        self._start_file()
+        with file.open("rb") as stream:
+            for definition in _summary_definitions(stream, size):
+                self._define(definition)
+                self._certain.add((type(definition), definition.id))
+            shown = 0
+            for record in RecordScanner(stream, size, self, self._leave).records():
+                if record.opcode == Opcode.CHUNK:
+                    self._add_chunk(record)
+                else:
+                    self._add(record)
+                if record.offset >= shown:
+                    progress(record.offset)
+                    shown = record.offset + _PROGRESS_STEP
+
+    def _leave(self, _: int, length: int) -> None:
+        self.bytes_left += length
+
+    def _add_chunk(self, record: Record) -> None:
+        """Copy what a chunk holds."""
+        chunk = read_chunk(record.body, record.length)
+        content = unpack_chunk(chunk) if chunk is not None else None
+        if content is None:
+            self._leave(record.offset, len(record.body))
+            return
+        scanner = RecordScanner(io.BytesIO(content), len(content), self, self._leave)
+        for inner in scanner.records():
+            if inner.opcode == Opcode.CHUNK:
+                self._leave(inner.offset, len(inner.body))  # chunks hold no chunks
+            else:
+                self._add(inner)
+
+    def _add(self, record: Record) -> None:
+        if record.opcode == Opcode.MESSAGE:
+            self._add_message(record)
+        elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            definition = read_definition(record.opcode, record.body)
+            if definition is not None and (type(definition), definition.id) not in self._certain:
+                self._define(definition)
+
+    def _add_message(self, record: Record) -> None:
+        channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(record.body)
+        if channel not in self._channels or log_time > LATEST_TIME:
+            self._leave(record.offset, len(record.body))
+            return
+        number, topic, _ = self._channels[channel]
+        message = record.body[MESSAGE_HEAD.size :]
+        self._writer.copy(number, message, log_time, publish_time, sequence)
+        self.message_counts[topic] += 1
+
+    def _define(self, definition: Schema | Channel) -> None:
+        """Take note of a schema, or add a channel to the new bag."""
+        if isinstance(definition, Schema):
+            self._schemas[definition.id] = definition
+            return
+        self._channels.pop(definition.id, None)
+        schema = self._schemas.get(definition.schema_id)
+        if schema is not None and not _meaning(schema).is_usable:
+            # One type that cannot be parsed makes a bag unreadable for rosbags, with all topics.
+            schema = jazzy_schema(schema)
+        if schema is None:
+            return
+        if _meaning(schema).is_ros:
+            definition.message_encoding = "cdr"  # ROS 2 knows no other: what differs is damaged
+        kind = (schema.name, schema.encoding, schema.data)
+        key = (definition.topic, definition.message_encoding, *kind)
+        if key not in self._numbers:
+            self._numbers[key] = self._add_topic(definition, schema)
+            self.message_counts[definition.topic] += 0
+        self._channels[definition.id] = (self._numbers[key], definition.topic, schema)
+
+    def _add_topic(self, channel: Channel, schema: Schema) -> int:
+        """Add a topic with the QoS profiles that the channel states, or metadata.yaml."""
+        stated = dict(channel.metadata)
+        profiles = sound_qos_profiles(stated.get("offered_qos_profiles"))
+        if profiles is None:
+            profiles = self._metadata.qos_profiles.get(channel.topic, [])
+            # Readers compare both places, and pass over a topic if they differ.
+            stated["offered_qos_profiles"] = yaml.safe_dump(profiles, sort_keys=False)
+        known_hash = self._metadata.type_hashes.get(channel.topic, "")
+        return self._writer.copy_topic(
+            TopicDefinition(
+                channel.topic,
+                schema.name,
+                schema.encoding,
+                schema.data,
+                _meaning(schema).type_hash or stated.get("topic_type_hash", known_hash),
+                profiles,
+                channel.message_encoding,
+                stated,
+            )
+        )
+
+
+def _meaning(schema: Schema) -> MessageDefinition:
+    return message_definition(schema.name, schema.encoding, schema.data)
+
+
+def _summary_definitions(stream: BinaryIO, size: int) -> Iterator[Schema | Channel]:
+    """Yield schemas and channels from the end of a file, if it has an end.
+
+    They are there a second time, for the case that the first ones are damaged.
+    """
+    start = max(0, size - _MOST_TAIL)
+    stream.seek(start)
+    tail = stream.read(size - start)
+    footer = tail.rfind(_FOOTER)
+    if footer < 0 or not tail.startswith(MAGIC, footer + _FOOTER_SIZE):
+        return
+    begin, _, checksum = struct.unpack_from("<QQI", tail, footer + len(_FOOTER))
+    length = start + footer - begin
+    if not begin or not 0 < length <= _MOST_SUMMARY:
+        return
+    stream.seek(begin)
+    summary = stream.read(length)
+    if checksum and zlib.crc32(tail[footer : footer + 25], zlib.crc32(summary)) != checksum:
+        return
+    found, offset = [], 0
+    while offset + 9 <= length:
+        opcode, body_length = struct.unpack_from("<BQ", summary, offset)
+        body = summary[offset + 9 : offset + 9 + body_length]
+        if opcode not in _SUMMARY_OPCODES:
+            return
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            found.append(read_definition(opcode, body))
+        offset += 9 + body_length
+    if offset == length:
+        yield from (definition for definition in found if definition is not None)

@@ -1,0 +1,125 @@
+"""What the metadata.yaml of a torn bag still says, as far as it makes sense."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from adp_path_follower.core.files import parse_yaml
+
+_MOST_BYTES = 1024 * 1024  # more is no metadata.yaml; YAML of that size takes seconds to parse
+_DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
+# Bags before ROS 2 Jazzy number the policies as rmw does.
+_POLICIES: Mapping[str, tuple[str, ...]] = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "liveliness": (
+        "system_default",
+        "automatic",
+        "manual_by_node",
+        "manual_by_topic",
+        "unknown",
+        "best_available",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class TornMetadata:
+    """What was known about a bag.
+
+    Attributes:
+        qos_profiles: Topic -> its QoS profiles.
+        type_hashes: Topic -> the hash of its type.
+        custom_data: What the recorder added.
+        kept: Entries that a copy of the bag shares with it.
+
+    """
+
+    qos_profiles: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
+    type_hashes: Mapping[str, str] = field(default_factory=dict)
+    custom_data: Mapping[str, str] = field(default_factory=dict)
+    kept: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_torn_metadata(file: Path) -> TornMetadata:
+    """Return what a metadata.yaml says; nothing if there is none or it cannot be read."""
+    try:
+        with file.open("rb") as stream:
+            text = stream.read(_MOST_BYTES + 1)
+        content = parse_yaml(text.decode()) if len(text) <= _MOST_BYTES else None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        content = None
+    information = _mapping(_mapping(content).get("rosbag2_bagfile_information"))
+    profiles, hashes = {}, {}
+    topics = information.get("topics_with_message_count")
+    for entry in topics if isinstance(topics, list) else []:
+        topic = _mapping(_mapping(entry).get("topic_metadata"))
+        name, type_hash = topic.get("name"), topic.get("type_description_hash")
+        if isinstance(name, str):
+            profiles[name] = sound_qos_profiles(topic.get("offered_qos_profiles")) or []
+            if isinstance(type_hash, str):
+                hashes[name] = type_hash
+    kept = {}
+    if str(information.get("compression_mode")).lower() == "message":
+        kept = _texts(information, ("compression_format", "compression_mode"))
+    kept |= _texts(information, ("ros_distro",))
+    custom = _mapping(information.get("custom_data"))
+    return TornMetadata(profiles, hashes, _texts(custom, tuple(custom)), kept)
+
+
+def sound_qos_profiles(profiles: object) -> list[dict[str, Any]] | None:
+    """Return QoS profiles as ROS 2 Jazzy spells them.
+
+    Args:
+        profiles: The profiles or their YAML text.
+
+    Returns:
+        None if they are no QoS profiles.
+
+    """
+    if isinstance(profiles, str):
+        try:
+            profiles = parse_yaml(profiles) if len(profiles) <= _MOST_BYTES else None
+        except yaml.YAMLError:
+            return None
+    if not isinstance(profiles, list):
+        return None
+    sound = [_sound_profile(profile) for profile in profiles]
+    return None if None in sound else [profile for profile in sound if profile is not None]
+
+
+def _sound_profile(profile: object) -> dict[str, Any] | None:
+    found = dict(_mapping(profile))
+    for key, names in _POLICIES.items():
+        value = found.get(key)
+        if isinstance(value, int) and 0 <= value < len(names):
+            found[key] = names[value]
+        elif value not in names:
+            return None
+    for key in _DURATIONS:
+        duration = _mapping(found.get(key))
+        if not all(isinstance(duration.get(unit), int) for unit in ("sec", "nsec")):
+            return None
+    complete = isinstance(found.get("depth"), int) and isinstance(
+        found.get("avoid_ros_namespace_conventions"), bool
+    )
+    return found if complete else None
+
+
+def _mapping(content: object) -> Mapping[Any, Any]:
+    return content if isinstance(content, dict) else {}
+
+
+def _texts(content: Mapping[Any, Any], keys: tuple[Any, ...]) -> dict[str, str]:
+    """Return the entries that are texts."""
+    return {
+        key: content[key]
+        for key in keys
+        if isinstance(key, str) and isinstance(content.get(key), str)
+    }
