@@ -29,7 +29,10 @@ setup(
     maintainer="adp_path_follower maintainers",
     maintainer_email="maintainers@adp-path-follower.example.org",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sim_unicycle"]),
-    package_data={NAME: ["py.typed", "data/*.json", "data/*.csv"], "sim_unicycle": ["py.typed"]},
+    package_data={
+        NAME: ["py.typed", "data/*.json", "data/*.csv", "analysis/templates/*"],
+        "sim_unicycle": ["py.typed"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -49,7 +52,8 @@ setup(
     extras_require={
         "jazzy": JAZZY_WHEELS,
         "optimum": ["casadi>=3.6"],
-        "test": ["pytest>=7.4", "hypothesis>=6.90"],
+        "report": ["plotly>=6.0", "jinja2>=3.1"],
+        "test": ["pytest>=7.4", "hypothesis>=6.90", "evo>=1.28", "playwright>=1.40"],
         "lint": ["ruff==0.17.6", "mypy==2.4.1", "types-PyYAML"],
     },
     entry_points={

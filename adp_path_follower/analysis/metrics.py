@@ -13,6 +13,7 @@ from adp_path_follower.bags.reader import Run
 from adp_path_follower.bags.replay import Replay
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path
 from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.schema import build
@@ -102,12 +103,23 @@ def measure(run: Run, replay: Replay) -> RunMetrics:
     outside = np.flatnonzero(size >= _SETTLED * size[0])
     last = int(outside[-1]) if len(outside) else -1
     duration = float(time[-1])
+    follower = replay.follower
+    known_optimum = is_paper_problem(
+        follower.settings, follower.path, float(replay.outputs[0].arc_length), error[0]
+    )
     series = run.series.get("excitation")
     known = np.zeros(0) if series is None else series.values[np.isfinite(series.values)]
     return RunMetrics(
         duration=duration,
-        cost=_cost(replay, time),
-        optimal_cost=paper_optimum().cost if _is_paper_problem(replay, error[0]) else math.nan,
+        cost=cost_over_horizon(
+            follower.settings,
+            follower.path,
+            time,
+            replay.odometry[:, :3],
+            replay.recorded,
+            np.array([float(output.arc_length) for output in replay.outputs]),
+        ),
+        optimal_cost=paper_optimum().cost if known_optimum else math.nan,
         cross_track_rms=float(np.sqrt(np.mean(late**2))) if len(late) else math.nan,
         cross_track_max=float(late.max()) if len(late) else math.nan,
         settling_time=float(time[last + 1]) if last + 1 < len(time) else math.nan,
@@ -119,30 +131,59 @@ def measure(run: Run, replay: Replay) -> RunMetrics:
     )
 
 
-def _cost(replay: Replay, time: FloatArray) -> float:
-    """Return J over the horizon, from each odometry pose along the command that followed it."""
-    if time[-1] < COST_HORIZON - 1e-6:
+def cost_over_horizon(
+    settings: Settings,
+    path: Path,
+    time: FloatArray,
+    poses: FloatArray,
+    commands: FloatArray,
+    arc_lengths: FloatArray,
+) -> float:
+    """Return J over the horizon, from each pose along the command that followed it.
+
+    Args:
+        settings: Give cost and target.
+        path: The path that was followed.
+        time: Time of each control step since the first [s], shape (N,).
+        poses: x, y, theta at each step, shape (N, 3).
+        commands: [v, w] of each step, shape (N, 2).
+        arc_lengths: Of the virtual target at each step [m], shape (N,).
+
+    Returns:
+        J, NaN where the run is shorter than the horizon.
+
+    """
+    if not len(time) or time[-1] < COST_HORIZON - 1e-6:
         return math.nan
     total = 0.0
     for step in np.flatnonzero(time[:-1] < COST_HORIZON - 1e-6):
-        output = replay.outputs[step]
         spent, _ = motion_cost(
-            replay.follower.settings,
-            replay.follower.path,
-            replay.odometry[step, :3],
-            replay.recorded[step],
-            output.arc_length,
+            settings,
+            path,
+            poses[step],
+            commands[step],
+            arc_lengths[step],
             float(time[step + 1] - time[step]),
         )
         total += float(spent)
     return total
 
 
-def _is_paper_problem(replay: Replay, first_error: FloatArray) -> bool:
-    """Return whether the optimum that is known is the one of this run."""
-    settings, standard = replay.follower.settings, build(Settings, {})
+def is_paper_problem(
+    settings: Settings, path: Path, arc_length: float, first_error: FloatArray
+) -> bool:
+    """Return whether the optimum that comes with the package is the one of this run.
+
+    Args:
+        settings: The controller's.
+        path: The path that was followed.
+        arc_length: Where on it the virtual target started [m].
+        first_error: The error [s, y, theta] at the start.
+
+    """
+    standard = build(Settings, {})
     same_problem = settings.target == standard.target and settings.cost == standard.cost
-    place = np.array([replay.outputs[0].arc_length, replay.follower.path.length])
+    place = np.array([arc_length, path.length])
     return bool(
         same_problem
         and _within_limits(paper_optimum(), settings)

@@ -2,48 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.typesys import Stores, get_typestore
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
+from adp_path_follower.bags.columns import Columns, Series
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
+from adp_path_follower.core.geometry import FloatArray
 
 _NODE = "path_follower"
-# What a run is read from: the last part of a topic's name -> the key in `Run.series`.
-_SERIES = (
-    "odom",
-    "ground_truth",
-    "cmd_vel",
-    f"{_NODE}/target",
-    f"{_NODE}/tracking_error",
-    f"{_NODE}/critic_weights",
-    f"{_NODE}/actor_weights",
-    f"{_NODE}/bellman_error",
-    f"{_NODE}/excitation",
-    f"{_NODE}/cost",
-)
+_REPORTED = 20_000  # messages between two reports of progress
+_ODOMETRY, _PATH = ("nav_msgs/msg/Odometry",), ("nav_msgs/msg/Path",)
+_NUMBER, _ARRAY = ("std_msgs/msg/Float64",), ("std_msgs/msg/Float64MultiArray",)
+# Key in `Run.series`, which is the last part of the topic's name as well -> the types it may have.
+_SERIES = {
+    "odom": _ODOMETRY,
+    "ground_truth": _ODOMETRY,
+    "cmd_vel": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"),
+    "target": ("geometry_msgs/msg/PoseStamped",),
+    "tracking_error": ("geometry_msgs/msg/Vector3Stamped",),
+    "critic_weights": _ARRAY,
+    "actor_weights": _ARRAY,
+    "bellman_error": _NUMBER,
+    "excitation": _NUMBER,
+    "cost": _NUMBER,
+}
+_OTHERS = {
+    "path": _PATH,
+    "configuration": ("std_msgs/msg/String",),
+    "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray",),
+}
+_TYPES = {**_SERIES, **_OTHERS}
+_PLAIN = ("odom", "ground_truth", "cmd_vel", "path", "diagnostics")  # not under the node's name
 
 
 @dataclass(frozen=True)
-class Series:
-    """The messages of one topic as numbers.
+class Diagnostic:
+    """What one node said in /diagnostics, where it differs from what it said before.
 
     Attributes:
-        stamp: Time of each message by its header, or by its arrival if it has none [ns], (N,).
-        values: One row for each message; the columns depend on the type, shape (N, M).
-        labels: Names of the columns of an array message.
+        time: Arrival [ns].
+        name: Who said it.
+        level: 0 is fine, 1 a warning, 2 an error, 3 stale.
+        message: What was said.
+        state: State of the controller, empty from others.
 
     """
 
-    stamp: np.ndarray
-    values: FloatArray
-    labels: tuple[str, ...] = ()
+    time: int
+    name: str
+    level: int
+    message: str
+    state: str
 
 
 @dataclass(frozen=True)
@@ -53,94 +70,227 @@ class Run:
     Attributes:
         series: Topic (without namespace) -> its messages. Poses are x, y, theta; odometry has
             v, w behind them; commands are v, w; errors s, y, theta.
-        path_points: Positions of the last path, shape (N, 2); empty without one.
-        configuration: What the controller said it runs with, as YAML; empty without one.
+        paths: Arrival [ns] and positions, shape (N, 2), of each path that differs from the one
+            before.
+        configurations: Arrival [ns] and text (YAML) of what the controller said it runs with.
         message_counts: Topic -> number of messages, of every topic in the bag.
+        diagnostics: What changed in /diagnostics.
+        topics: Key in `series` and "path" -> the topic that it was read from.
+        notes: What was passed over, in sentences.
 
     """
 
     series: Mapping[str, Series]
-    path_points: FloatArray
-    configuration: str
+    paths: tuple[tuple[int, FloatArray], ...]
+    configurations: tuple[tuple[int, str], ...]
     message_counts: Mapping[str, int]
+    diagnostics: tuple[Diagnostic, ...] = ()
+    topics: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def path_points(self) -> FloatArray:
+        """Return the positions of the last path, shape (N, 2); empty without one."""
+        return self.paths[-1][1] if self.paths else np.zeros((0, 2))
+
+    @property
+    def configuration(self) -> str:
+        """Return what the controller said last it runs with, as YAML; empty without it."""
+        return self.configurations[-1][1] if self.configurations else ""
 
 
-def read_run(bag: Path) -> Run:
+def read_run(
+    bag: Path,
+    names: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
     """Return the run that a bag holds.
 
+    Args:
+        bag: A rosbag2 directory, or one .mcap or .db3 file.
+        names: "odom", "cmd_vel" or "path" -> the topic to take for it instead of the one that has
+            this name in some namespace.
+        progress: Called with the fraction done.
+
     Raises:
-        FileError: The bag is missing or cannot be read.
+        FileError: The bag is missing or cannot be read, a topic that was asked for is not in it
+            or has another type, or it is not clear which topic is meant.
 
     """
     if not bag.exists():
         raise FileError(f"bag {bag} does not exist")
-    rows: dict[str, list[tuple[int, list[float]]]] = {}
-    labels: dict[str, tuple[str, ...]] = {}
-    path_points = np.zeros((0, 2))
-    configuration = ""
-    counts: dict[str, int] = {}
     try:
-        with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            for connection, time, raw in reader.messages():
-                counts[connection.topic] = counts.get(connection.topic, 0) + 1
-                key = _key(connection.topic)
-                if key is None:
-                    continue
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                if key == "path":
-                    points = [[p.pose.position.x, p.pose.position.y] for p in message.poses]
-                    path_points = np.array(points).reshape(-1, 2)
-                elif key == "configuration":
-                    configuration = message.data
-                else:
-                    rows.setdefault(key, []).append((_stamp(message, time), _numbers(message)))
-                    if key not in labels and hasattr(message, "layout"):
-                        labels[key] = tuple(message.layout.dim[0].label.split(", "))
-    except (AnyReaderError, OSError, ValueError, KeyError, AssertionError) as error:
-        raise FileError(f"bag {bag} cannot be read: {' '.join(str(error).split())}") from None
-    series = {
-        key: Series(
-            np.array([stamp for stamp, _ in found], dtype=np.int64),
-            np.array([values for _, values in found], dtype=float),
-            labels.get(key, ()),
+        with Reader(bag) as reader:
+            collector = _Collector(_chosen(bag, reader.connections, names or {}), reader)
+            for done, (connection, time, raw) in enumerate(reader.messages()):
+                collector.take(connection, time, raw)
+                if progress is not None and done % _REPORTED == 0:
+                    progress(min(1.0, done / max(1, reader.message_count)))
+            return collector.run()
+    except FileError:
+        raise
+    except Exception as error:  # a damaged file fails in the reading library wherever it will
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FileError(
+            f"bag {bag} cannot be read: {reason.rstrip('.')}; `adp recover` may save what is in it"
+        ) from None
+
+
+def _chosen(
+    bag: Path, connections: list[Connection], names: Mapping[str, str]
+) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Return key -> topic and notes about it."""
+    types = {connection.topic: connection.msgtype for connection in connections}
+    chosen: dict[str, tuple[str, tuple[str, ...]]] = {}
+    for key, allowed in _TYPES.items():
+        name = names.get(key)
+        wanted = key if key in _PLAIN else f"{_NODE}/{key}"
+        if name is not None:
+            topic = f"/{name.removeprefix('/')}"
+            if topic not in types:
+                fitting = sorted(topic for topic, kind in types.items() if kind in allowed)
+                listed = ", ".join(fitting) or "none"
+                raise FileError(
+                    f"bag {bag} has no topic {topic}; of a type that fits are: {listed}"
+                )
+            if types[topic] not in allowed:
+                raise FileError(
+                    f"topic {topic} of bag {bag} has the type {types[topic]}, but must be "
+                    f"{' or '.join(allowed)}"
+                )
+            chosen[key] = topic, ()
+            continue
+        found = sorted(topic for topic in types if f"/{topic}".endswith(f"/{wanted}"))
+        fitting = [topic for topic in found if types[topic] in allowed]
+        notes = tuple(
+            f"topic {topic} has the type {types[topic]}, not {' or '.join(allowed)}: passed over"
+            for topic in found
+            if topic not in fitting
         )
-        for key, found in rows.items()
-    }
-    return Run(series, path_points, configuration, counts)
+        if len(fitting) > 1 and key in ("odom", "cmd_vel", "path"):
+            option = key.removesuffix("_vel")
+            raise FileError(
+                f"bag {bag} has several topics named {key}: say which by --{option}, one of "
+                + ", ".join(fitting)
+            )
+        if len(fitting) > 1:  # several robots: the one whose odometry was chosen
+            space = chosen["odom"][0].rpartition("/")[0] if "odom" in chosen else ""
+            fitting.sort(key=lambda topic: not topic.startswith(f"{space}/"))
+            notes += (f"several topics named {wanted}: {fitting[0]} was taken",)
+        if fitting or notes:
+            chosen[key] = fitting[0] if fitting else "", notes
+    return chosen
 
 
-def _key(topic: str) -> str | None:
-    """Return the key of a topic in any namespace."""
-    for name in (*_SERIES, "path", f"{_NODE}/configuration"):
-        if topic == f"/{name}" or topic.endswith(f"/{name}"):
-            return name.removeprefix(f"{_NODE}/")
-    return None
+class _Collector:
+    """Sorts messages by their topics."""
 
+    def __init__(self, chosen: dict[str, tuple[str, tuple[str, ...]]], reader: Reader) -> None:
+        self._topics = {key: topic for key, (topic, _) in chosen.items() if topic}
+        self._notes = [note for _, notes in chosen.values() for note in notes]
+        self._counts: dict[str, int] = {}
+        self._paths: list[tuple[int, FloatArray]] = []
+        self._configurations: list[tuple[int, str]] = []
+        self._diagnostics: list[Diagnostic] = []
+        self._said: dict[str, tuple[int, str]] = {}
+        self._last_path = b""
+        self._columns: dict[str, Columns] = {}
+        self._handlers: dict[int, Callable[[int, bytes], None]] = {}
+        keys = {topic: key for key, topic in self._topics.items()}
+        stores: dict[str, Typestore] = {}
+        kinds: dict[str, str] = {}
+        for connection in reader.connections:
+            key, kind = keys.get(connection.topic), connection.msgtype
+            if key is None or kind not in _TYPES[key] or kinds.setdefault(key, kind) != kind:
+                continue
+            if kind not in stores:
+                stores[kind] = self._typestore(connection)
+            if key in _SERIES:
+                columns = self._columns.setdefault(key, Columns(stores[kind], kind))
+                self._handlers[connection.id] = columns.take
+            else:
+                self._handlers[connection.id] = self._handler(key, stores[kind], kind)
 
-def _stamp(message: Any, time: int) -> int:
-    header = getattr(message, "header", None)
-    if header is None:
-        return time
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+    def take(self, connection: Connection, time: int, raw: bytes) -> None:
+        """Take one message that arrived at a time [ns]."""
+        topic = connection.topic
+        self._counts[topic] = self._counts.get(topic, 0) + 1
+        handler = self._handlers.get(connection.id)
+        if handler is not None:
+            handler(time, raw)
 
+    def run(self) -> Run:
+        """Return what was collected."""
+        series = {}
+        for key, columns in self._columns.items():
+            found, left_out = columns.series()
+            if len(found.stamp):
+                series[key] = found
+            if left_out:
+                self._notes.append(
+                    f"topic {self._topics[key]}: {left_out} messages are not of the first one's "
+                    "form: passed over"
+                )
+        return Run(
+            series,
+            tuple(self._paths),
+            tuple(self._configurations),
+            self._counts,
+            tuple(self._diagnostics),
+            self._topics,
+            tuple(self._notes),
+        )
 
-def _numbers(message: Any) -> list[float]:
-    """Return what a message says as a row of numbers."""
-    kind = message.__msgtype__.rsplit("/", 1)[-1]
-    if kind == "Odometry":
-        twist = message.twist.twist
-        return [*_planar(message.pose.pose), twist.linear.x, twist.angular.z]
-    if kind == "PoseStamped":
-        return _planar(message.pose)
-    if kind == "Vector3Stamped":
-        return [message.vector.x, message.vector.y, message.vector.z]
-    if kind in ("Twist", "TwistStamped"):
-        twist = message.twist if kind == "TwistStamped" else message
-        return [twist.linear.x, twist.angular.z]
-    return [float(value) for value in np.atleast_1d(message.data)]
+    def _typestore(self, connection: Connection) -> Typestore:
+        """Return the types of a connection as its bag defines them, else those of ROS 2 Jazzy."""
+        store = get_typestore(Stores.EMPTY)
+        definition = connection.msgdef
+        try:
+            if definition.format.name == "MSG":
+                store.register(get_types_from_msg(definition.data, connection.msgtype))
+            elif definition.format.name == "IDL":
+                store.register(get_types_from_idl(definition.data))
+        except Exception:  # whatever a parser makes of a damaged text
+            self._notes.append(
+                f"the definition of {connection.msgtype} in the bag cannot be read: that of "
+                "ROS 2 Jazzy was taken"
+            )
+            return get_typestore(Stores.ROS2_JAZZY)
+        known = connection.msgtype in store.fielddefs
+        return store if known else get_typestore(Stores.ROS2_JAZZY)
 
+    def _handler(self, key: str, store: Typestore, kind: str) -> Callable[[int, bytes], None]:
+        """Return what takes the messages of a topic that is not a series of numbers."""
+        take = {
+            "path": self._take_path,
+            "configuration": self._take_configuration,
+            "diagnostics": self._take_diagnostics,
+        }[key]
 
-def _planar(pose: Any) -> list[float]:
-    """Return x, y and heading, as the controller takes them, to the last bit."""
-    q = pose.orientation
-    return [pose.position.x, pose.position.y, yaw_of_quaternion(q.x, q.y, q.z, q.w)]
+        def handle(time: int, raw: bytes) -> None:
+            if key == "path" and raw == self._last_path:  # published again, unchanged
+                return
+            self._last_path = raw if key == "path" else self._last_path
+            take(time, store.deserialize_cdr(raw, kind))
+
+        return handle
+
+    def _take_path(self, time: int, message: Any) -> None:
+        points = [[item.pose.position.x, item.pose.position.y] for item in message.poses]
+        array = np.array(points, dtype=float).reshape(-1, 2)
+        if not self._paths or not np.array_equal(array, self._paths[-1][1]):
+            self._paths.append((time, array))
+
+    def _take_configuration(self, time: int, message: Any) -> None:
+        if not self._configurations or message.data != self._configurations[-1][1]:
+            self._configurations.append((time, message.data))
+
+    def _take_diagnostics(self, time: int, message: Any) -> None:
+        for status in message.status:
+            values = {item.key: item.value for item in status.values}
+            said = int(status.level), status.message
+            if self._said.get(status.name) != said:
+                self._said[status.name] = said
+                self._diagnostics.append(
+                    Diagnostic(time, status.name, *said, state=values.get("state", ""))
+                )

@@ -1,0 +1,103 @@
+"""The analysis of one bag, small enough to keep beside those of others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from adp_path_follower.analysis.bag_metrics import measure_drive, time_in_state, with_states
+from adp_path_follower.analysis.charts import Charts, charts_of
+from adp_path_follower.analysis.drive import Drive, drive_of
+from adp_path_follower.analysis.events import Event, events_of
+from adp_path_follower.bags.reader import read_run
+from adp_path_follower.core.schema import flatten, yaml_text
+
+
+@dataclass(frozen=True)
+class BagAnalysis:
+    """What is said of a bag.
+
+    Attributes:
+        name: Name of the bag.
+        metrics: Name -> value, NaN where the bag does not tell.
+        states: State of the controller -> time in it [s].
+        charts: What the figures show.
+        events: What happened.
+        settings: Name -> value as text; empty where the bag does not say.
+        topics: Topic -> number of messages.
+        used: What a topic was read as -> the topic.
+        notes: What could not be used, in sentences.
+
+    """
+
+    name: str
+    metrics: Mapping[str, float]
+    states: Mapping[str, float]
+    charts: Charts
+    events: tuple[Event, ...]
+    settings: Mapping[str, str]
+    topics: Mapping[str, int]
+    used: Mapping[str, str]
+    notes: tuple[str, ...]
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Return all numbers that a requirement can name."""
+        return with_states(self.metrics, self.states)
+
+
+def analyse_bag(
+    bag: Path,
+    names: Mapping[str, str],
+    bags: int,
+    trajectory: Path,
+    progress: Callable[[float], None] | None = None,
+) -> BagAnalysis:
+    """Return the analysis of a bag, and write its trajectory.
+
+    Args:
+        bag: A rosbag2 directory, or one of its files.
+        names: "odom", "cmd_vel" or "path" -> the topic to take for it.
+        bags: How many bags share the figures.
+        trajectory: File for the trajectory, as the tool evo reads it.
+        progress: Called with the fraction done.
+
+    Raises:
+        FileError: The bag cannot be read, or holds no odometry or path.
+
+    """
+    drive = drive_of(bag, read_run(bag, names, progress))
+    metrics, notes = measure_drive(drive)
+    _write_tum(drive, trajectory)
+    settings = {} if drive.settings is None else flatten(drive.settings)
+    return BagAnalysis(
+        name=drive.name,
+        metrics=metrics,
+        states=time_in_state(drive),
+        charts=charts_of(drive, bags),
+        events=events_of(drive),
+        settings={name: yaml_text(value) for name, value in settings.items()},
+        topics=drive.run.message_counts,
+        used=drive.run.topics,
+        notes=(*drive.notes, *notes),
+    )
+
+
+def _write_tum(drive: Drive, file: Path) -> None:
+    """Write stamp [s], position and quaternion while driving, one pose a line (TUM format)."""
+    driving = drive.driving
+    stamps = drive.start + np.rint(drive.odometry.time[driving] * 1e9).astype(np.int64)
+    poses = drive.odometry.values[driving, :3]
+    half = 0.5 * poses[:, 2]
+    # A stamp since 1970 with its nanoseconds does not fit into a double.
+    rows = zip(
+        stamps.tolist(), *poses[:, :2].T.tolist(), np.sin(half).tolist(), np.cos(half).tolist(),
+        strict=True,
+    )  # fmt: skip
+    with file.open("w", encoding="ascii") as stream:
+        for stamp, x, y, sine, cosine in rows:
+            second, rest = divmod(stamp, 1_000_000_000)
+            stream.write(f"{second}.{rest:09d} {x:.9f} {y:.9f} 0 0 0 {sine:.9f} {cosine:.9f}\n")

@@ -1,0 +1,115 @@
+"""The figures of analysed bags as PNG files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from adp_path_follower.analysis.bag_analysis import BagAnalysis
+from adp_path_follower.analysis.style import COLORS, STYLE
+
+
+def draw_bags(analyses: Sequence[BagAnalysis], directory: Path) -> list[Path]:
+    """Draw the figures of one or several bags; return the files."""
+    directory.mkdir(parents=True, exist_ok=True)
+    charts = [analysis.charts for analysis in analyses]
+    panels = dict.fromkeys(key for chart in charts for key in chart.panels)
+    histograms = dict.fromkeys(key for chart in charts for key in chart.histograms)
+    drawings: dict[str, Callable[[], Figure]] = {"track": partial(_track, analyses)}
+    drawings |= {key: partial(_over_time, analyses, key) for key in panels}
+    drawings |= {key: partial(_histogram, analyses, key) for key in histograms}
+    files = []
+    with mpl.rc_context(STYLE):
+        for name, draw in drawings.items():
+            files.append(directory / f"{name}.png")
+            draw().savefig(files[-1], bbox_inches="tight")
+    return files
+
+
+def _plain(text: str) -> str:
+    """Return a text in which matplotlib finds no mathematics."""
+    return text.replace("$", r"\$")
+
+
+def _track(analyses: Sequence[BagAnalysis]) -> Figure:
+    figure = Figure(figsize=(8.0, 6.0))
+    axes = figure.subplots()
+    for index, analysis in enumerate(analyses):
+        track = analysis.charts.track
+        for points in track.path:
+            axes.plot(*points.T, color="0.75", linewidth=4, zorder=1)
+        if len(analyses) == 1:
+            x, y = track.position.T
+            dots = axes.scatter(x, y, c=np.abs(track.cross_track), s=5, cmap="viridis", zorder=2)
+            figure.colorbar(dots, label="|cross-track| [m]")
+        else:
+            axes.plot(*track.position.T, color=COLORS[index % 6], label=_plain(analysis.name))
+    if len(analyses) > 1:
+        axes.legend()
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.set_title("Path and track")
+    return figure
+
+
+def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
+    rows = max(len(analysis.charts.panels.get(key, ())) for analysis in analyses)
+    figure = Figure(figsize=(9.0, 1.2 + 2.0 * rows))
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    for index, analysis in enumerate(analyses):
+        for panel, place in zip(analysis.charts.panels.get(key, ()), axes, strict=False):
+            number = 0
+            for line in panel.lines:
+                by_line = len(analyses) == 1
+                color = COLORS[(number if by_line else index) % 6]
+                place.plot(
+                    line.time,
+                    line.values,
+                    color="0.8" if line.background else color,
+                    linewidth=0.5 if line.background else 1.2,
+                    linestyle="--" if by_line and number >= 6 and not line.background else "-",
+                    label=None if line.background else _plain(line.name),
+                )
+                number += not line.background
+            for limit in filter(np.isfinite, panel.limits):
+                place.axhline(limit, color="0.5", linestyle="--", linewidth=0.8)
+            place.set_ylabel(panel.label)
+            if panel.logarithmic:
+                place.set_yscale("log")
+            if len(analyses) == 1 and number > 1:
+                place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
+    if len(analyses) > 1:
+        for index, analysis in enumerate(analyses):
+            axes[0].plot([], [], color=COLORS[index % 6], label=_plain(analysis.name))
+        handles, labels = axes[0].get_legend_handles_labels()
+        count = len(analyses)
+        axes[0].legend(handles[-count:], labels[-count:], fontsize=8)
+    axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _histogram(analyses: Sequence[BagAnalysis], key: str) -> Figure:
+    figure = Figure(figsize=(7.0, 3.5))
+    axes = figure.subplots()
+    for index, analysis in enumerate(analyses):
+        found = analysis.charts.histograms.get(key)
+        if found is not None:
+            axes.stairs(
+                found.counts,
+                found.edges,
+                fill=len(analyses) == 1,
+                color=COLORS[index % 6],
+                label=_plain(analysis.name),
+            )
+            axes.set_xlabel(found.label)
+    axes.set_yscale("log")
+    axes.set_ylabel("how often")
+    if len(analyses) > 1:
+        axes.legend()
+    return figure

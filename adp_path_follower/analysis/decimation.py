@@ -1,0 +1,40 @@
+"""Fewer points for a figure that looks the same."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+
+
+def extremes(values: FloatArray, buckets: int) -> np.ndarray:
+    """Return which values to keep so that a figure of them shows every peak.
+
+    Of each bucket of neighbouring values that are the least and the greatest; the first and the
+    last of all are kept as well. Values that are not finite are no peaks.
+
+    Args:
+        values: Shape (N,).
+        buckets: At most 2 `buckets` + 2 values are kept.
+
+    Returns:
+        Increasing indices.
+
+    """
+    count = len(values)
+    if count <= 2 * buckets:
+        return np.arange(count)
+    width = -(-count // buckets)
+    rows = -(-count // width)
+    sound = np.isfinite(values)
+
+    def places(fill: float, chosen: str) -> np.ndarray:
+        padded = np.full(rows * width, fill)
+        padded[:count] = np.where(sound, values, fill)
+        within = getattr(padded.reshape(rows, width), chosen)(axis=1)
+        return np.asarray(np.arange(rows) * width + within)
+
+    kept = np.concatenate(
+        [places(np.inf, "argmin"), places(-np.inf, "argmax"), np.array([0, count - 1])]
+    )
+    return np.unique(kept[kept < count])

@@ -1,0 +1,294 @@
+"""A recorded run on one time axis, with its place beside the path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from adp_path_follower.analysis.projection import Projection, project
+from adp_path_follower.bags.columns import Series
+from adp_path_follower.bags.reader import Diagnostic, Run
+from adp_path_follower.core.errors import AdpError, FileError
+from adp_path_follower.core.files import parse_yaml
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path as FollowedPath
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+
+_OTHER_CLOCK = 1_000_000_000  # [ns] between arrival and stamp: they are of different clocks
+_GREATEST = 1e8  # [m, m/s, rad/s]
+_FLOOR = 1e-9  # [m/s, rad/s]: a command below it is zero
+
+
+@dataclass(frozen=True)
+class Timed:
+    """Rows of numbers over time.
+
+    Attributes:
+        time: Since the robot was first told to move [s], shape (N,).
+        values: Shape (N, M).
+        labels: Names of the columns, where they have some.
+
+    """
+
+    time: FloatArray
+    values: FloatArray
+    labels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the analysis of a bag goes by.
+
+    Attributes:
+        name: Name of the bag.
+        run: What the bag holds.
+        start: Stamp of the first odometry while the robot was told to move: time 0 [ns].
+        end: Time at which it was last told to move [s].
+        odometry: x, y, theta, v, w.
+        projection: The odometry beside the path that was in force.
+        paths: The paths, in order.
+        path_of_pose: Which of them was in force at each odometry, shape (N,).
+        commands: v, w; no rows where no commands were recorded.
+        latency: From the odometry that a command answers to the command, by arrival [s].
+        learner: The topics of the learner and its target that are in the bag.
+        settings: The controller's, where the bag says them.
+        notes: What could not be used, in sentences.
+
+    """
+
+    name: str
+    run: Run
+    start: int
+    end: float
+    odometry: Timed
+    projection: Projection
+    paths: tuple[FollowedPath, ...]
+    path_of_pose: np.ndarray
+    commands: Timed
+    latency: FloatArray
+    learner: dict[str, Timed]
+    settings: Settings | None
+    notes: tuple[str, ...]
+
+    def seconds(self, arrival: int) -> float:
+        """Return the time [s] of an arrival [ns]."""
+        clock = _Clock(self.run.series["odom"])
+        return float((clock.stamps(np.array([arrival]))[0] - self.start) * 1e-9)
+
+    @property
+    def driving(self) -> np.ndarray:
+        """Return which of the odometry was recorded while the robot was told to move, (N,)."""
+        return np.asarray((self.odometry.time >= 0.0) & (self.odometry.time <= self.end))
+
+
+class _Clock:
+    """Translates arrival into the clock of the stamps, where a bag was recorded by another."""
+
+    def __init__(self, odometry: Series) -> None:
+        late = odometry.arrival - odometry.stamp
+        self._other = bool(len(late)) and abs(float(np.median(late))) > _OTHER_CLOCK
+        self._odometry = odometry
+
+    def stamps(self, arrival: np.ndarray) -> np.ndarray:
+        """Return stamps [ns] for arrivals [ns]."""
+        if not self._other:
+            return arrival
+        origin, first = int(self._odometry.arrival[0]), int(self._odometry.stamp[0])
+        # Relative, for a double cannot hold nanoseconds since 1970.
+        moved = np.interp(
+            (arrival - origin).astype(float),
+            (self._odometry.arrival - origin).astype(float),
+            (self._odometry.stamp - first).astype(float),
+        )
+        return np.asarray(first + moved.astype(np.int64))
+
+
+def drive_of(bag: Path, run: Run) -> Drive:
+    """Return the drive that a run holds.
+
+    Raises:
+        FileError: There is no odometry or no path that can be followed.
+
+    """
+    notes = list(run.notes)
+    odometry = _odometry(bag, run, notes)
+    paths, path_times = _paths(bag, run, notes)
+    clock = _Clock(run.series["odom"])
+    commands = _sorted(run.series.get("cmd_vel"), clock)
+    moving = np.flatnonzero(np.abs(commands.values).max(axis=1, initial=0.0) > _FLOOR)
+    # Without commands all of the odometry counts.
+    first, last = odometry.stamp[0], odometry.stamp[-1]
+    if len(moving):
+        first, last = commands.stamp[moving[0]], commands.stamp[moving[-1]]
+    index = max(0, int(np.searchsorted(odometry.stamp, first, side="right")) - 1)
+    start = int(odometry.stamp[index])
+    # A path that came after the first odometry is projected on from the first one.
+    in_force = np.searchsorted(clock.stamps(path_times), odometry.stamp, side="right") - 1
+    in_force = np.clip(in_force, 0, len(paths) - 1)
+    return Drive(
+        name=bag.name or str(bag),
+        run=run,
+        start=start,
+        end=float((last - start) * 1e-9),
+        odometry=_timed(odometry, start),
+        projection=_projection(paths, in_force, odometry.values[:, :3]),
+        paths=paths,
+        path_of_pose=in_force,
+        commands=_timed(commands, start),
+        latency=_latency(run),
+        learner=_learner(run, clock, start),
+        settings=_settings(run, notes),
+        notes=tuple(notes),
+    )
+
+
+def _odometry(bag: Path, run: Run, notes: list[str]) -> Series:
+    """Return the odometry in order of its stamps, each once, without what is not finite."""
+    found = run.series.get("odom")
+    if found is None:
+        raise FileError(
+            f"bag {bag} has no odometry: name a topic of nav_msgs/msg/Odometry by --odom"
+        )
+    sound = _sound(found.values)
+    if not sound.all():
+        notes.append(f"{int((~sound).sum())} odometry messages are not finite: passed over")
+    stamps, first = np.unique(found.stamp[sound], return_index=True)
+    if not len(stamps):
+        raise FileError(f"bag {bag} has no odometry that is finite: nothing to analyse")
+    return Series(stamps, found.values[sound][first], (), found.arrival[sound][first])
+
+
+def _sound(values: FloatArray) -> np.ndarray:
+    """Return which rows are finite, and no greater than a robot's place or speed can be, (N,)."""
+    return np.asarray((np.abs(values) < _GREATEST).all(axis=1))  # NaN is not below, either
+
+
+def _paths(bag: Path, run: Run, notes: list[str]) -> tuple[tuple[FollowedPath, ...], np.ndarray]:
+    """Return the paths that can be followed, and when each arrived [ns]."""
+    if not run.paths:
+        raise FileError(f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path")
+    paths, times, problem = [], [], ""
+    for time, points in run.paths:
+        if not len(points):  # how planners take a path back
+            continue
+        try:
+            paths.append(FollowedPath.from_points(points))
+            times.append(time)
+        except AdpError as error:
+            problem = str(error)
+            notes.append(f"a path was passed over: {problem}")
+    if not paths:
+        raise FileError(f"bag {bag} has no path that can be followed: {problem or 'it is empty'}")
+    return tuple(paths), np.array(times, dtype=np.int64)
+
+
+def _projection(
+    paths: tuple[FollowedPath, ...], in_force: np.ndarray, poses: FloatArray
+) -> Projection:
+    parts = [
+        project(paths[number], poses[in_force == number]) for number in np.unique(in_force).tolist()
+    ]
+    return Projection(
+        np.concatenate([part.arc_length for part in parts]),
+        np.concatenate([part.cross_track for part in parts]),
+        np.concatenate([part.heading for part in parts]),
+    )
+
+
+def _sorted(series: Series | None, clock: _Clock) -> Series:
+    """Return commands in order of time, each stamp once; none where there is no series."""
+    if series is None:
+        return Series(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    stamped = not np.array_equal(series.stamp, series.arrival)
+    sound = _sound(series.values)
+    stamp = series.stamp if stamped else clock.stamps(series.arrival)
+    stamps, first = np.unique(stamp[sound], return_index=True)
+    return Series(stamps, series.values[sound][first], (), series.arrival[sound][first])
+
+
+def _timed(series: Series, start: int, stamp: np.ndarray | None = None) -> Timed:
+    time = ((series.stamp if stamp is None else stamp) - start) * 1e-9
+    return Timed(time, series.values, series.labels)
+
+
+def _learner(run: Run, clock: _Clock, start: int) -> dict[str, Timed]:
+    """Return the learner's topics on the time axis.
+
+    Weights and errors carry no stamp. With one message for each step they belong to the steps in
+    order; else the time of their arrival, which lags, must do.
+    """
+    steps = run.series.get("tracking_error")
+    found = {}
+    for key, series in run.series.items():
+        if key in ("odom", "cmd_vel"):
+            continue
+        stamp = series.stamp
+        if np.array_equal(series.stamp, series.arrival):
+            of_steps = steps is not None and len(steps.stamp) == len(stamp)
+            stamp = steps.stamp if of_steps and steps else clock.stamps(series.arrival)
+        found[key] = _timed(series, start, stamp)
+    return found
+
+
+def _latency(run: Run) -> FloatArray:
+    """Return how long after its odometry each command arrived [s].
+
+    A command answers the odometry of its own stamp; where there is none, the last that arrived
+    before it.
+    """
+    odometry, commands = run.series["odom"], run.series.get("cmd_vel")
+    if commands is None:
+        return np.zeros(0)
+    stamps, first = np.unique(odometry.stamp, return_index=True)
+    place = np.minimum(np.searchsorted(stamps, commands.stamp), len(stamps) - 1)
+    answers = stamps[place] == commands.stamp
+    arrivals = np.sort(odometry.arrival)
+    before = np.searchsorted(arrivals, commands.arrival, side="right") - 1
+    source = np.where(answers, odometry.arrival[first][place], arrivals[np.maximum(before, 0)])
+    late = (commands.arrival - source) * 1e-9
+    return np.asarray(late[answers | (before >= 0)])
+
+
+def _settings(run: Run, notes: list[str]) -> Settings | None:
+    """Return the settings that the run began with, None where the bag does not say."""
+    if not run.configurations:
+        return None
+    try:
+        content = parse_yaml(run.configurations[0][1])
+        if not isinstance(content, dict) or not isinstance(content.get("settings"), dict):
+            raise AdpError("it holds no settings")
+        return build(Settings, content["settings"])
+    except (AdpError, yaml.YAMLError) as error:
+        notes.append(f"the configuration was passed over: {' '.join(str(error).split())}")
+        return None
+
+
+def controller_states(diagnostics: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ...]:
+    """Return the state changes of the controller, of the first that said its state."""
+    stating = [item for item in diagnostics if item.state]
+    changes: list[Diagnostic] = []
+    for item in stating:
+        if item.name == stating[0].name and (not changes or changes[-1].state != item.state):
+            changes.append(item)
+    return tuple(changes)
+
+
+def period_of(drive: Drive) -> FloatArray:
+    """Return the time between commands while the robot was told to move [s]."""
+    time = drive.commands.time
+    return np.diff(time[(time >= 0.0) & (time <= drive.end)])
+
+
+def finite(values: FloatArray) -> FloatArray:
+    """Return the values that are finite."""
+    return np.asarray(values[np.isfinite(values)])
+
+
+def last_time(drive: Drive) -> float:
+    """Return when the recording of odometry ended [s]."""
+    return float(drive.odometry.time[-1]) if len(drive.odometry.time) else math.nan

@@ -1,0 +1,151 @@
+"""The page about analysed bags: one file that opens without network."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from adp_path_follower import __version__
+from adp_path_follower.analysis.bag_analysis import BagAnalysis
+from adp_path_follower.analysis.bag_metrics import METRICS, Metric, Requirement
+from adp_path_follower.core.errors import AdpError
+
+try:
+    import jinja2
+    from jinja2.utils import htmlsafe_json_dumps
+    from markupsafe import Markup
+    from plotly.io.json import to_json_plotly
+    from plotly.offline import get_plotlyjs
+except ImportError:
+    raise AdpError(
+        "the report needs Plotly and Jinja2: pip install 'adp_path_follower[report]'"
+    ) from None
+
+from adp_path_follower.analysis.page_figures import COLORS, motions, page_figures
+
+_EVENTS_SHOWN = 100
+CAPTIONS = {
+    "track": (
+        "Path and track",
+        "The robot's track beside the path. The arrow is the robot, the ring its virtual target, "
+        "at the time of the slider below.",
+    ),
+    "errors": (
+        "Tracking errors",
+        "Distance and angle to the nearest place of the path, positive to its left, from odometry "
+        "and path alone; s is how far the robot is ahead of its virtual target.",
+    ),
+    "commands": ("Commands", "What the robot was told, and the limits as dashed lines."),
+    "cost": ("Cost to date", "∫ eᵀQe + uᵀRu so far, as the controller counts it."),
+    "weights": (
+        "Critic and actor weights",
+        "The largest by name, the others grey: the value function and the policy that are learned "
+        "while driving.",
+    ),
+    "bellman_error": (
+        "Bellman error",
+        "How far the learned value function is from its own equation at the robot's place.",
+    ),
+    "excitation": (
+        "Excitation certificate",
+        "Smallest singular value of the rank condition: above 0, every weight is determined.",
+    ),
+    "period": ("Control period", "How often each time between two commands occurred."),
+    "latency": (
+        "Latency",
+        "From the arrival of an odometry message to that of the command that answers it, in the "
+        "recorder.",
+    ),
+    "events": ("Events", "State changes, faults, parameter changes and new paths."),
+}
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One line of the table of metrics: a cell for each bag, and whether it is the best."""
+
+    metric: Metric
+    cells: tuple[tuple[str, bool], ...]
+
+
+def write_report(
+    analyses: Sequence[BagAnalysis], requirements: Sequence[Requirement], file: Path
+) -> None:
+    """Write the page about one or several bags."""
+    folder = Path(__file__).parent / "templates"
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    figures = page_figures(analyses)
+    # `<`, `>` and `&` are written as \u003c and so on: no string of a bag can end the script.
+    data = htmlsafe_json_dumps(
+        {"figures": figures, "motions": motions(analyses)}, dumps=to_json_plotly
+    )
+    page = environment.get_template("report.html.j2").render(
+        title=", ".join(analysis.name for analysis in analyses),
+        version=__version__,
+        analyses=analyses,
+        colors=[COLORS[index % len(COLORS)] for index in range(len(analyses))],
+        rows=_rows(analyses),
+        states=sorted({state for analysis in analyses for state in analysis.states}),
+        settings=_settings(analyses),
+        checks=[
+            (requirement, analysis, number(analysis.numbers.get(requirement.name, math.nan)))
+            for requirement in requirements
+            for analysis in analyses
+        ],
+        captions=[(key, *CAPTIONS[key]) for key in CAPTIONS if key in figures],
+        events_shown=_EVENTS_SHOWN,
+        number=number,
+        # Only scripts that carry it run: one in a bag's strings cannot know it.
+        nonce=hashlib.sha256(data.encode()).hexdigest()[:32],
+        style=Markup((folder / "report.css").read_text(encoding="utf-8")),  # noqa: S704  # ours
+        script=Markup((folder / "report.js").read_text(encoding="utf-8")),  # noqa: S704  # ours
+        plotly=Markup(get_plotlyjs()),  # noqa: S704  # the library itself
+        data=data,
+    )
+    file.write_text(page, encoding="utf-8")
+
+
+def number(value: float) -> str:
+    """Return a number as people read it."""
+    if not math.isfinite(value):
+        return "–"
+    return f"{value:.0f}" if value == round(value) and abs(value) < 1e9 else f"{value:.4g}"
+
+
+def _rows(analyses: Sequence[BagAnalysis]) -> list[_Row]:
+    rows = []
+    for metric in METRICS:
+        values = [analysis.metrics[metric.name] for analysis in analyses]
+        known = [value for value in values if math.isfinite(value)]
+        best = math.nan
+        if metric.better and len(known) > 1:
+            best = min(known) if metric.better == "low" else max(known)
+        rows.append(
+            _Row(
+                metric,
+                tuple((number(value), number(value) == number(best) != "–") for value in values),
+            )
+        )
+    return rows
+
+
+def _settings(analyses: Sequence[BagAnalysis]) -> list[tuple[str, list[str], bool]]:
+    """Return name, value in each bag, and whether they differ."""
+    names: dict[str, Any] = {}
+    for analysis in analyses:
+        names |= dict.fromkeys(analysis.settings)
+    rows = []
+    for name in names:
+        values = [analysis.settings.get(name, "–") for analysis in analyses]
+        rows.append((name, values, len({value for value in values if value != "–"}) > 1))
+    return rows

@@ -1,0 +1,141 @@
+"""`adp analyze`: from the bag of a run to an answer."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from adp_path_follower.cli.options import FILE, new_directory, progress_bar, write_json
+
+if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to report
+    from adp_path_follower.analysis.bag_analysis import BagAnalysis
+    from adp_path_follower.analysis.bag_metrics import Requirement
+
+
+@click.command()
+@click.argument("bags", nargs=-1, required=True, type=FILE, metavar="BAG...")
+@click.option(
+    "--out",
+    "directory",
+    type=FILE,
+    metavar="DIR",
+    help="Where report, figures and numbers go: a new or empty directory (adp_report_DATE if it "
+    "is not given).",
+)
+@click.option(
+    "--odom", metavar="TOPIC", help="Topic of the odometry; any named 'odom' if not given."
+)
+@click.option("--cmd", metavar="TOPIC", help="Topic of the commands; any named 'cmd_vel'.")
+@click.option("--path", metavar="TOPIC", help="Topic of the path; any named 'path'.")
+@click.option(
+    "--require",
+    "requirements",
+    multiple=True,
+    metavar="NAME<LIMIT",
+    help="Exit with 1 if a bag does not keep this; may be given several times.",
+)
+def analyze(
+    bags: tuple[Path, ...],
+    directory: Path | None,
+    odom: str | None,
+    cmd: str | None,
+    path: str | None,
+    requirements: tuple[str, ...],
+) -> None:
+    r"""Turn the bags of runs into one report.
+
+    A bag is what the recorder or `ros2 bag record` wrote: MCAP or sqlite3, split, compressed. Of
+    another controller's bag all but the learner's figures are drawn. Several bags are drawn over
+    each other and compared in a table.
+
+    \b
+    One run:            adp analyze my_bag
+    Against Nav2:       adp analyze my_bag nav2_bag --path /plan
+    In CI:              adp analyze my_bag --require 'cross_track_rms<0.02'
+
+    Writes report.html (one file, opens without network), metrics.json, figures/ and
+    trajectory.tum, which the tool evo reads. Exit code 1 if a requirement is not met.
+    """
+    from adp_path_follower.analysis.bag_analysis import analyse_bag
+    from adp_path_follower.analysis.bag_metrics import parse_requirement
+    from adp_path_follower.analysis.bag_pngs import draw_bags
+    from adp_path_follower.analysis.report import write_report
+
+    limits = [parse_requirement(text) for text in requirements]
+    given = {"odom": odom, "cmd_vel": cmd, "path": path}
+    names = {key: name for key, name in given.items() if name is not None}
+    directory = new_directory(
+        directory or Path(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
+    )
+    analyses: list[BagAnalysis] = []
+    for number, bag in enumerate(bags, start=1):
+        with progress_bar(f"reading {bag.name}") as progress:
+            file = "trajectory.tum" if len(bags) == 1 else f"trajectory_{number}.tum"
+            analyses.append(
+                analyse_bag(
+                    bag.resolve(),
+                    names,
+                    len(bags),
+                    directory / file,
+                    progress,
+                )
+            )
+    draw_bags(analyses, directory / "figures")
+    write_json(directory / "metrics.json", _numbers(analyses, limits))
+    write_report(analyses, limits, directory / "report.html")
+    click.echo(_table(analyses))
+    for note in dict.fromkeys(f"{item.name}: {note}" for item in analyses for note in item.notes):
+        click.echo(f"adp: {note}", err=True)
+    missed = _missed(analyses, limits)
+    for text in missed:
+        click.echo(f"adp: {text}", err=True)
+    click.echo(f"\nIn {directory}: report.html, metrics.json, figures/, trajectory*.tum")
+    sys.exit(1 if missed else 0)
+
+
+def _missed(analyses: list[BagAnalysis], limits: list[Requirement]) -> list[str]:
+    """Return a sentence for each requirement that a bag does not keep."""
+    return [
+        f"required {limit.text} is not met by {item.name}: {limit.name} is "
+        f"{item.numbers.get(limit.name, float('nan')):.6g}"
+        for limit in limits
+        for item in analyses
+        if not limit.met(item.numbers)
+    ]
+
+
+def _numbers(analyses: list[BagAnalysis], limits: list[Requirement]) -> dict[str, Any]:
+    """Return what metrics.json holds."""
+    return {
+        "bags": [
+            {
+                "name": item.name,
+                "metrics": dict(item.metrics),
+                "time_in_state": dict(item.states),
+                "topics": dict(item.topics),
+                "notes": list(item.notes),
+            }
+            for item in analyses
+        ],
+        "requirements": [
+            {"text": limit.text, "met": [limit.met(item.numbers) for item in analyses]}
+            for limit in limits
+        ],
+    }
+
+
+def _table(analyses: list[BagAnalysis]) -> str:
+    """Return the numbers as people read them."""
+    from adp_path_follower.analysis.bag_metrics import METRICS
+    from adp_path_follower.analysis.report import number
+
+    width = max(12, *(min(24, len(item.name)) for item in analyses))
+    lines = [f"{'':26}" + "".join(f"{item.name[-24:]:>{width + 2}}" for item in analyses)]
+    for metric in METRICS:
+        cells = "".join(f"{number(item.metrics[metric.name]):>{width + 2}}" for item in analyses)
+        lines.append(f"{metric.name:26}{cells}  {metric.unit}".rstrip())
+    return "\n".join(lines)

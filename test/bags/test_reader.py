@@ -1,0 +1,201 @@
+"""Bags of every kind that ROS 2 users have, read into numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import yaml
+from bag_messages import (
+    SECOND,
+    STORE,
+    array,
+    odometry,
+    path_message,
+    raw,
+    text,
+    twist,
+    twist_stamped,
+    write_bag,
+    write_foreign,
+)
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from adp_path_follower.bags.cdr import MessageDecoder
+from adp_path_follower.bags.reader import read_run
+from adp_path_follower.bags.writer import BagWriter
+from adp_path_follower.core.errors import FileError
+
+
+def small_run(stamped: bool = True):
+    """Return the messages of a short run: ten poses on a line, each with its command."""
+    yield "/path", 0, path_message([(float(x), 0.0) for x in range(5)])
+    for step in range(10):
+        time = SECOND + step * SECOND // 10
+        yield "/odom", time, odometry(time, 0.1 * step, 0.5, 0.25, 1.0, -0.5)
+        command = twist_stamped(time, 1.0, 0.1 * step) if stamped else twist(1.0, 0.1 * step)
+        yield "/cmd_vel", time + 1000, command
+
+
+KINDS = {
+    "mcap": {},
+    "sqlite3": {"storage": StoragePlugin.SQLITE3},
+    "sqlite3 messages": {
+        "storage": StoragePlugin.SQLITE3,
+        "compression": CompressionMode.MESSAGE,
+    },
+    "sqlite3 file": {"storage": StoragePlugin.SQLITE3, "compression": CompressionMode.FILE},
+    "mcap chunks": {"compression": CompressionMode.STORAGE},
+    "mcap messages": {"compression": CompressionMode.MESSAGE},
+    "mcap file": {"compression": CompressionMode.FILE},
+}
+
+
+@pytest.mark.parametrize("stamped", [True, False], ids=["TwistStamped", "Twist"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_bag_gives_the_same_numbers(tmp_path, kind, stamped):
+    bag = write_foreign(tmp_path / "bag", small_run(stamped), **KINDS[kind])
+    run = read_run(bag)
+    odom, commands = run.series["odom"], run.series["cmd_vel"]
+    assert odom.values == pytest.approx(
+        np.column_stack([0.1 * np.arange(10), *np.tile([[0.5], [0.25], [1.0], [-0.5]], 10)])
+    )
+    assert odom.stamp.tolist() == [SECOND + step * SECOND // 10 for step in range(10)]
+    assert commands.values == pytest.approx(np.column_stack([np.ones(10), 0.1 * np.arange(10)]))
+    late = 0 if stamped else 1000
+    assert commands.stamp.tolist() == (odom.stamp + late).tolist()
+    assert (commands.arrival - odom.arrival).tolist() == [1000] * 10
+    assert run.path_points.tolist() == [[float(x), 0.0] for x in range(5)]
+    assert run.message_counts == {"/path": 1, "/odom": 10, "/cmd_vel": 10}
+    assert run.notes == ()
+
+
+def test_a_split_bag_is_read_as_one(tmp_path):
+    """Two files under one metadata.yaml, as rosbag2 splits a long recording."""
+    messages = list(small_run())
+    first = write_foreign(tmp_path / "first", messages[:11])
+    second = write_foreign(tmp_path / "second", messages[11:])
+    content = yaml.safe_load((first / "metadata.yaml").read_text())
+    information = content["rosbag2_bagfile_information"]
+    (second / "second.mcap").rename(first / "second.mcap")
+    information["relative_file_paths"].append("second.mcap")
+    information["message_count"] = len(messages)
+    (first / "metadata.yaml").write_text(yaml.safe_dump(content))
+    run = read_run(first)
+    assert run.series["odom"].values[:, 0] == pytest.approx(0.1 * np.arange(10))
+
+
+def test_one_file_without_its_directory(tmp_path):
+    bag = write_bag(tmp_path / "bag", small_run())
+    assert len(read_run(bag / "bag_0.mcap").series["odom"].stamp) == 10
+
+
+def test_other_topic_names(tmp_path):
+    names = {"/odom": "/base/filtered", "/cmd_vel": "/nav/command", "/path": "/plan"}
+    messages = [(names[topic], time, message) for topic, time, message in small_run()]
+    bag = write_bag(tmp_path / "bag", messages)
+    assert read_run(bag).series == {}
+    given = {"odom": "base/filtered", "cmd_vel": "/nav/command", "path": "plan"}
+    run = read_run(bag, given)
+    assert set(run.series) == {"odom", "cmd_vel"}
+    assert len(run.path_points) == 5
+    with pytest.raises(FileError, match=r"no topic /odometry; of a type that fits.*/base/filtered"):
+        read_run(bag, {"odom": "odometry"})
+    with pytest.raises(FileError, match=r"topic /plan .* has the type nav_msgs/msg/Path, but must"):
+        read_run(bag, {"odom": "plan"})
+
+
+def test_two_robots_need_a_name(tmp_path):
+    messages = [
+        (f"{robot}{topic}", time, message)
+        for topic, time, message in small_run()
+        for robot in ("/a", "/b")
+    ]
+    bag = write_bag(tmp_path / "bag", messages)
+    with pytest.raises(FileError, match="several topics named odom: say which by --odom"):
+        read_run(bag)
+    names = {"odom": "/b/odom", "cmd_vel": "/b/cmd_vel", "path": "/b/path"}
+    assert read_run(bag, names).topics["odom"] == "/b/odom"
+
+
+def test_types_that_do_not_fit_are_passed_over_with_a_note(tmp_path):
+    wrong = [("/ground_truth", 0, text("here")), ("/diagnostics", 1, text("fine"))]
+    run = read_run(write_bag(tmp_path / "bag", [*wrong, *small_run()]))
+    assert "ground_truth" not in run.series
+    assert sorted(note.split(" has ")[0] for note in run.notes) == [
+        "topic /diagnostics",
+        "topic /ground_truth",
+    ]
+
+
+def test_unknown_types_do_not_matter(tmp_path):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("float64 secret\n", "nobody_msgs/msg/Nothing"))
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
+    with writer:
+        unknown = writer.add_connection("/x", "nobody_msgs/msg/Nothing", typestore=store)
+        odom = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
+        writer.write(unknown, 1, b"\0\1\0\0" + bytes(8))
+        writer.write(odom, 2, raw(odometry(2, 1.0, 2.0, 0.0)))
+    run = read_run(tmp_path / "bag")
+    assert run.series["odom"].values[0, :2].tolist() == [1.0, 2.0]
+    assert run.message_counts["/x"] == 1
+
+
+def test_messages_of_changing_lengths_stay_in_order(tmp_path):
+    frames = ["odom", "a", "a longer frame", ""]
+    messages = [
+        ("/odom", step, odometry(step, float(step), 0.0, 0.0, frame=frames[step % 4]))
+        for step in range(101)
+    ]
+    run = read_run(write_bag(tmp_path / "bag", messages))
+    assert run.series["odom"].values[:, 0].tolist() == list(range(101))
+    assert run.series["odom"].stamp.tolist() == list(range(101))
+
+
+def test_broken_messages_are_left_out_and_counted(tmp_path):
+    writer = BagWriter(tmp_path / "bag")
+    topic = writer.add_topic("/odom", "nav_msgs/msg/Odometry")
+    good = raw(odometry(5, 1.0, 2.0, 0.5))
+    huge = bytearray(good)
+    huge[12:16] = b"\xff\xff\xff\xff"  # the length of the frame's name
+    for content in (good, good[:50], bytes(huge), b"", good):
+        writer.write(topic, content, 1, 1)
+    writer.close()
+    run = read_run(tmp_path / "bag")
+    assert run.series["odom"].values[:, 0].tolist() == [1.0, 1.0]
+    assert run.notes == ("topic /odom: 3 messages are not of the first one's form: passed over",)
+
+
+def test_arrays_keep_their_labels_and_their_width(tmp_path):
+    topic = "/path_follower/critic_weights"
+    messages = [(topic, 1, array([1.0, 2.0])), (topic, 2, array([3.0])), (topic, 3, array([4, 5]))]
+    run = read_run(write_bag(tmp_path / "bag", messages))
+    assert run.series["critic_weights"].labels == ("a", "b")
+    assert run.series["critic_weights"].values.tolist() == [[1.0, 2.0], [4.0, 5.0]]
+    assert run.series["critic_weights"].stamp.tolist() == [1, 3]
+
+
+def test_fields_are_read_as_the_library_reads_them():
+    """Every number of random messages, by both byte orders."""
+    random = np.random.default_rng(1)
+    kind = "nav_msgs/msg/Odometry"
+    names = ("pose.covariance", "twist.twist.angular.z")
+    for order in (True, False):
+        decoder = MessageDecoder(STORE.fielddefs, kind, names, True)
+        messages, expected = [], []
+        for number in range(20):
+            message = odometry(number * SECOND + 7, 0.0, 0.0, 0.0, w=random.normal())
+            message.pose.covariance[:] = random.normal(size=36)
+            messages.append(bytes(STORE.serialize_cdr(message, kind, little_endian=order)))
+            expected.append([*message.pose.covariance, message.twist.twist.angular.z])
+        ((chosen, stamps, values),) = decoder.decode(messages)
+        assert chosen.tolist() == list(range(20))
+        assert stamps.tolist() == [number * SECOND + 7 for number in range(20)]
+        assert values.tolist() == expected
+
+
+def test_progress_is_reported(tmp_path):
+    seen: list[float] = []
+    read_run(write_bag(tmp_path / "bag", small_run()), progress=seen.append)
+    assert seen[0] == 0.0
