@@ -34,6 +34,8 @@ from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 
 _MOST_KNOTS = 8192  # that are remembered: 5 MB for each of critic and actor
+_MOST_SPREAD = 500  # knots between robots of a batch that learn together
+_FARTHEST = 1e12  # knots
 _MOST_RESIDUAL = 0.5  # of the running cost: a critic that explains less is refused
 _LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular matrix
 _CURVATURE_NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvature
@@ -106,7 +108,7 @@ class ArcLengthLearner:
 
     def local(self, arc_length: FloatArray) -> LocalWeights:
         """Return the weights at arc lengths [m] of any shape, and their slope along the path."""
-        position = arc_length / self._spacing
+        position = self._position(arc_length)
         knot = np.floor(position)
         share = (position - knot)[..., None]
         knot = knot.astype(np.int64)
@@ -133,13 +135,26 @@ class ArcLengthLearner:
             dt: Period [s].
 
         """
-        near = math.floor(arc_length.min() / self._spacing)
-        robots = math.floor(arc_length.max() / self._spacing) + 1
+        near, robots = self._span(arc_length)
         if self._knot is None:
             self._begin(near, robots + self._reach)
             self._reach = min(2 * self._reach + 1, self._window)
         self._work(self._learning.samples_per_step, dt)
         self._follow(near, robots + self._window, dt)
+
+    def _span(self, arc_length: FloatArray) -> tuple[int, int]:
+        """Return the knot behind the last robot and the one ahead of the first.
+
+        Robots far from most, such as one that is lost, are left to the initial weights.
+        """
+        known = np.isfinite(arc_length)
+        place = self._position(arc_length[known]) if known.any() else np.zeros(1)
+        together = place[np.abs(place - np.median(place)) <= _MOST_SPREAD]
+        return math.floor(together.min()), math.floor(together.max()) + 1
+
+    def _position(self, arc_length: FloatArray) -> FloatArray:
+        """Return arc lengths in knot spacings, same shape, within what integers can count."""
+        return np.clip(np.nan_to_num(arc_length) / self._spacing, -_FARTHEST, _FARTHEST)
 
     def settle(
         self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
@@ -152,8 +167,9 @@ class ArcLengthLearner:
             distance: How far ahead of them [m].
 
         """
-        near = math.floor(arc_length.min() / self._spacing) - self._window
-        far = math.ceil((arc_length.max() + distance) / self._spacing) + self._window
+        near, robots = self._span(arc_length)
+        near -= self._window
+        far = robots + math.ceil(distance / self._spacing) + self._window
         # All that the memory holds; round a lap, one preview more, which comes to lie under it.
         far = min(far, near + len(self._critic) + (0 if self._lap is None else self._window))
         slots = self._slots(np.arange(near, far))

@@ -182,8 +182,8 @@ def test_learning_on_the_way_ends_where_settling_does(name):
     assert settled.settle(UNUSED, last.arc_length, 5.0)
     expected = settled.local(last.arc_length).weights.critic
     scale = np.abs(expected).max()
-    np.testing.assert_allclose(last.weights.critic, expected, atol=0.01 * scale)
-    np.testing.assert_allclose(last.weights.actor, expected, atol=0.01 * scale)
+    np.testing.assert_allclose(last.weights.critic, expected, atol=0.02 * scale)
+    np.testing.assert_allclose(last.weights.actor, expected, atol=0.02 * scale)
 
 
 def test_a_gradient_critic_goes_where_least_squares_are():

@@ -199,6 +199,20 @@ def test_a_run_that_is_lost_is_reported_and_the_others_go_on(tuning, lost, name)
         np.testing.assert_allclose(outcome(result, index), outcome(single, 0), atol=1e-9)
 
 
+@pytest.mark.parametrize("learning", ["cold", "warm"])
+@pytest.mark.parametrize("lost", LOST_STARTS)
+def test_a_lost_run_leaves_the_learner_of_the_others_alone(figure_eight, learning, lost):
+    tuning = build(Settings, {"basis_degree": 3, "sample_count": 64})
+    starts = [STARTS[0], STARTS[1], STARTS[2]]
+    alone = simulate(tuning, figure_eight, starts, duration=2.0, rate=50.0, learning=learning)
+    with np.errstate(all="ignore"):
+        beside = simulate(
+            tuning, figure_eight, [*starts, lost], duration=2.0, rate=50.0, learning=learning
+        )
+    assert beside.failed.tolist() == [False, False, False, True]
+    np.testing.assert_allclose(beside.cost[:3], alone.cost, rtol=1e-9)
+
+
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @settings(max_examples=25, deadline=None)
 @given(
