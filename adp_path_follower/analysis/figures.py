@@ -242,3 +242,19 @@ def _named_terms(view: RunView) -> list[int]:
         return list(range(len(view.labels)))
     size = np.abs(view.critic_weights).max(axis=0)
     return sorted(np.argsort(-size)[: 2 * len(COLORS) - 4].tolist())
+
+
+def draw_replay(replay: Replay, file: Path) -> None:
+    """Draw recorded and replayed commands over time."""
+    time = (replay.stamp - replay.stamp[0]) * 1e-9
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9.0, 5.0))
+        panels = figure.subplots(2, 1, sharex=True)
+        for column, (axes, label) in enumerate(zip(panels, ("v [m/s]", "ω [rad/s]"), strict=True)):
+            axes.plot(time, replay.recorded[:, column], color="0.6", linewidth=3, label="recorded")
+            axes.plot(time, replay.replayed[:, column], color=COLORS[1], label="replayed")
+            axes.set_ylabel(label)
+        panels[0].set_title("Commands to the recorded odometry")
+        panels[0].legend()
+        panels[1].set_xlabel("time [s]")
+        figure.savefig(file, bbox_inches="tight")

@@ -39,12 +39,20 @@ class Replay:
     @property
     def identical(self) -> np.ndarray:
         """Return for each step whether both commands are equal to the last bit, shape (N,)."""
-        commands = np.array([output.command for output in self.outputs])
-        return np.asarray((commands == self.recorded).all(axis=1))
+        return np.asarray((self.replayed == self.recorded).all(axis=1))
+
+    @property
+    def replayed(self) -> FloatArray:
+        """Return the follower's commands [v, w], shape (N, 2)."""
+        return np.array([output.command for output in self.outputs])
 
 
-def replay(run: Run) -> Replay:
+def replay(run: Run, settings: Settings | None = None) -> Replay:
     """Replay a run whose control steps were started by odometry (control_trigger: odometry).
+
+    Args:
+        run: The run.
+        settings: What to replay it with; by default, what it was recorded with.
 
     Raises:
         FileError: The bag lacks odometry, commands, path or configuration, its steps were started
@@ -56,8 +64,9 @@ def replay(run: Run) -> Replay:
             raise FileError(f"the bag has no messages on '{name}': nothing to replay")
     if not len(run.path_points):
         raise FileError("the bag has no path: nothing to replay")
-    settings = _settings(run.configuration)
-    if settings.controller.control_trigger != "odometry":
+    recorded_with = recorded_settings(run)
+    settings = settings or recorded_with
+    if recorded_with.controller.control_trigger != "odometry":
         raise FileError("the bag was recorded with control_trigger: timer; replay needs odometry")
     path = Path.from_points(run.path_points)
     # The simulator repeats odometry that was not answered in time, the controller its answer:
@@ -74,7 +83,7 @@ def replay(run: Run) -> Replay:
     odometry, commands = odometry[in_odometry], commands[in_commands]
     if not np.isfinite(odometry[:, :3]).all():
         raise FileError("the bag has odometry that is not finite: it cannot be replayed")
-    at_beginning = settings.controller.path_start == "beginning"
+    at_beginning = recorded_with.controller.path_start == "beginning"
     follower = PathFollower(settings, path, 0.0 if at_beginning else path.nearest(odometry[0, :3]))
     outputs = []
     for row, stamp in zip(odometry, steps, strict=True):
@@ -90,10 +99,16 @@ def replay(run: Run) -> Replay:
     return Replay(follower, steps[:count], odometry[:count], commands[:count], outputs)
 
 
-def _settings(configuration: str) -> Settings:
-    """Return the settings in what the controller said it runs with."""
+def recorded_settings(run: Run) -> Settings:
+    """Return the settings that the controller said it runs with.
+
+    Raises:
+        FileError: The bag has none, or none that can be read.
+        SettingsError: They are none of this version.
+
+    """
     try:
-        content = parse_yaml(configuration)
+        content = parse_yaml(run.configuration)
     except yaml.YAMLError:
         content = None
     values = content.get("settings") if isinstance(content, dict) else None

@@ -19,6 +19,7 @@ _COMMANDS = {
     "paper": "Reproduce the paper's figures, and what they do not show.",
     "parameters": "Show the parameters, as a YAML file or as a table.",
     "recover": "Save what can be read of a torn recording into a new bag.",
+    "replay": "Feed a bag's odometry to the controller again, with the same or other parameters.",
     "simulate": "Simulate the closed loop without ROS, from one or many starts.",
 }
 
