@@ -15,8 +15,9 @@ _CAPTIONS = {
     "figure_4_controls.png": "The inputs that the learned policy adds to the feedforward "
     "v_ss = v_des, ω_ss = κ v_des, and those of the optimum.",
     "figure_5_weights.png": "The weights of the value function (critic) and of the policy "
-    "(actor), which are learned while driving. They move from the paper's initial guess to what "
-    "makes the Bellman errors at the sampled states smallest.",
+    "(actor), which are learned while driving. They move from the initial guess to what makes the "
+    "Bellman errors at the sampled states smallest; with scheduling: arc_length they also change "
+    "from place to place, before and in a bend.",
 }
 
 
@@ -84,7 +85,7 @@ def summary_markdown(metrics: RunMetrics, figures: list[Path]) -> str:
     lines = [
         "# What you saw",
         "",
-        "A unicycle robot followed a path. The controller started with a poor guess of the value "
+        "A unicycle robot followed a path. The controller started with a first guess of the value "
         "function of an optimal control problem, learned a better one while driving, and steered "
         "by the policy that follows from it.",
         "",
