@@ -53,7 +53,13 @@ setup(
         "jazzy": JAZZY_WHEELS,
         "optimum": ["casadi>=3.6"],
         "report": ["plotly>=6.0", "jinja2>=3.1"],
-        "test": ["pytest>=7.4", "hypothesis>=6.90", "evo>=1.28", "playwright>=1.40"],
+        "test": [
+            "pytest>=7.4",
+            "hypothesis>=6.90",
+            "evo>=1.28",
+            "mcap-ros2-support>=0.5",
+            "playwright>=1.40",
+        ],
         "lint": ["ruff==0.17.6", "mypy==2.4.1", "types-PyYAML"],
     },
     entry_points={
