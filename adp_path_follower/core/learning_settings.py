@@ -116,7 +116,7 @@ class LearningSettings:
         read_only=_STRUCTURE,
     )
     samples_per_step: int = setting(
-        192,
+        240,
         "How many of them one control step works off.",
         low=1,
         high=65536,
