@@ -90,9 +90,12 @@ def replay(run: Run, settings: Settings | None = None) -> Replay:
         try:
             with np.errstate(all="ignore"):  # a damaged pose is told below, once
                 outputs.append(follower.step_at(row[:3], int(stamp)))
-        except (ArithmeticError, LookupError, ValueError):  # where no robot ever was
+            sound = bool(np.isfinite(outputs[-1].command).all())
+        except (ArithmeticError, LookupError, ValueError):
+            sound = False
+        if not sound:  # where no robot ever was
             pose = ", ".join(f"{value:g}" for value in row[:3])
-            raise FileError(f"no command follows from the pose ({pose}) at {stamp} ns") from None
+            raise FileError(f"no command follows from the pose ({pose}) at {stamp} ns")
         if not path.closed and float(follower.arc_length) >= path.length:
             break  # the goal: from here on the node commands zero velocity
     count = len(outputs)
