@@ -41,9 +41,9 @@ def main() -> None:
     frozen = PathFollower(
         load_settings(Settings, "path_follower", assignments=_FROZEN), lissajous()
     )
-    knots = KnotModel(default.settings)
+    knots = KnotModel(default.settings, 0.2)
     ahead = default.weights.critic
-    equations = knots.equations(slice(None), ahead, 0.1, 0.2)
+    equations = knots.equations(slice(None), ahead, 0.1)
     follower = PathFollower(settings, lissajous())
     pose = np.array([-0.4, -0.3, 0.7])
     output = follower.step(pose, 0.01)

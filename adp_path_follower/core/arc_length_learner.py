@@ -67,13 +67,13 @@ class ArcLengthLearner:
         learning = settings.learning
         self._settings, self._learning, self._path = settings, learning, path
         self._riccati = riccati
-        self._model = KnotModel(settings)
         self._size = len(learning.value_basis.labels)
         # Of the actor's projection: it never comes between the robot and its safe policy.
         safe = learning.value_basis.quadratic_weights(riccati.table)
         self._bound = max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
         count = max(1, math.ceil(path.length / learning.knot_spacing))
         self._spacing = path.length / count if path.closed else learning.knot_spacing
+        self._model = KnotModel(settings, self._spacing)
         self._window = max(2, round(learning.preview_distance / self._spacing))
         # An open path goes on straight beyond its ends, for one preview. The knots of a closed one
         # that fits into the memory come round again; of a longer one every lap has its own.
@@ -82,6 +82,7 @@ class ArcLengthLearner:
         capacity = min(_MOST_KNOTS, count if path.closed else count + 2 + 2 * self._window)
         self._critic = np.zeros((capacity, self._size))
         self._actor = np.zeros((capacity, self._size))
+        self._curvatures = np.zeros(capacity)
         self.reset()
 
     def reset(self, where: np.ndarray | None = None) -> None:
@@ -111,15 +112,14 @@ class ArcLengthLearner:
         position = self._position(arc_length)
         knot = np.floor(position)
         share = (position - knot)[..., None]
-        knot = knot.astype(np.int64)
-        here, ahead = self._slots(knot), self._slots(knot + 1)
-        critic, actor = self._critic[here], self._actor[here]
-        critic_step = self._critic[ahead] - critic
-        actor = actor + share * (self._actor[ahead] - actor)
+        slots = self._slots(np.add.outer((0, 1), knot.astype(np.int64)))
+        (critic, critic_ahead), (actor, actor_ahead) = self._critic[slots], self._actor[slots]
+        critic_step = critic_ahead - critic
+        actor = actor + share * (actor_ahead - actor)
         critic = critic + share * critic_step
         slope = critic_step / self._spacing
-        sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
-        if not sound.all():
+        if not (np.isfinite(actor).all() and np.isfinite(critic).all()):
+            sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
             safe = self._safe(self._path.curvature(arc_length))
             sound = sound[..., None]
             critic, actor = np.where(sound, critic, safe), np.where(sound, actor, safe)
@@ -147,14 +147,19 @@ class ArcLengthLearner:
 
         Robots far from most, such as one that is lost, are left to the initial weights.
         """
+        place = self._position(arc_length)
+        if place.size == 1:
+            knot = math.floor(place.item())
+            return knot, knot + 1
         known = np.isfinite(arc_length)
-        place = self._position(arc_length[known]) if known.any() else np.zeros(1)
+        place = place[known] if known.any() else np.zeros(1)
         together = place[np.abs(place - np.median(place)) <= _MOST_SPREAD]
         return math.floor(together.min()), math.floor(together.max()) + 1
 
     def _position(self, arc_length: FloatArray) -> FloatArray:
         """Return arc lengths in knot spacings, same shape, within what integers can count."""
-        return np.clip(np.nan_to_num(arc_length) / self._spacing, -_FARTHEST, _FARTHEST)
+        place = np.where(np.isnan(arc_length), 0.0, arc_length) / self._spacing
+        return np.minimum(np.maximum(place, -_FARTHEST), _FARTHEST)
 
     def settle(
         self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
@@ -190,6 +195,7 @@ class ArcLengthLearner:
         if any(getattr(old.learning, name) != getattr(new.learning, name) for name in _MODEL):
             return
         self._critic, self._actor = previous._critic, previous._actor
+        self._curvatures = previous._curvatures
         self._owner, self._reach = previous._owner, previous._reach
 
     def _begin(self, near: int, far: int) -> None:
@@ -202,20 +208,16 @@ class ArcLengthLearner:
         """Turn to a knot."""
         self._knot = knot
         self._slot = int(self._slots(np.array([knot]))[0])
-        self._knot_curvature = float(self._curvature(np.array([knot]))[0])
+        self._knot_curvature = float(self._curvatures[self._slot])
         self._done, self._time = 0, 0.0
         self._equations: NormalEquations | None = None
 
-    def _work(self, samples: int, dt: float) -> None:
+    def _work(self, count: int, dt: float) -> None:
         """Work off some samples of the present knot, and go on to the next when all are done."""
         assert self._knot is not None  # `_begin` took one
-        end = min(self._done + samples, len(self._model))
-        part = self._model.equations(
-            slice(self._done, end),
-            self._ahead,
-            self._knot_curvature,
-            self._spacing,
-        )
+        end = min(self._done + count, len(self._model))
+        samples = slice(self._done, end)
+        part = self._model.equations(samples, self._ahead, self._knot_curvature)
         self._equations = part if self._equations is None else self._equations + part
         self._done, self._time = end, self._time + dt
         if end < len(self._model):
@@ -270,8 +272,8 @@ class ArcLengthLearner:
         """Let the actor follow the critic at the knots from `near` up to `far`."""
         slots = self._slots(np.arange(near, far))
         actor, critic = self._actor[slots], self._critic[slots]
-        sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
-        if not sound.all():
+        if not (np.isfinite(actor).all() and np.isfinite(critic).all()):
+            sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
             self.problem = "weights are not finite"
             self._refused += 1
             self._owner[slots[~sound]] = np.iinfo(np.int64).min
@@ -282,18 +284,21 @@ class ArcLengthLearner:
 
     def _slots(self, knots: np.ndarray) -> np.ndarray:
         """Return where knots of any shape are stored, with initial weights if they are new."""
-        number = knots
         if self._lap is not None:
-            number = knots % self._lap
-        elif self._ends is not None:
-            number = np.minimum(np.maximum(knots, self._ends[0]), self._ends[1])
-        slots = number % len(self._owner)
+            slots = number = knots % self._lap
+        else:
+            number = knots
+            if self._ends is not None:
+                number = np.minimum(np.maximum(knots, self._ends[0]), self._ends[1])
+            slots = number % len(self._owner)
         new = self._owner[slots] != number
         if new.any():
             numbers = np.unique(number[new])
             places = numbers % len(self._owner)
-            weights = initial_weights(self._learning, self._riccati, self._curvature(numbers))
+            curvature = self._curvature(numbers)
+            weights = initial_weights(self._learning, self._riccati, curvature)
             self._critic[places], self._actor[places] = weights.critic, weights.actor
+            self._curvatures[places] = curvature
             self._owner[places] = numbers
         return np.asarray(slots)
 

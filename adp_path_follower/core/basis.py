@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, components
 
 STATE_LABELS = ("s", "y", "θ", "φ")
 
@@ -28,6 +28,9 @@ class Basis(Protocol):
 
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
+
+    def value_and_gradient(self, zeta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return sigma and sigma' at states of shape (..., 4), which share their powers."""
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
@@ -76,6 +79,10 @@ class QuadraticBasis:
         slope = (zeta @ self._flat_slope).reshape(*zeta.shape[:-1], *self._offset.shape)
         return np.asarray(slope + self._offset)
 
+    def value_and_gradient(self, zeta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return sigma and sigma' at states of shape (..., 4)."""
+        return self.value(zeta), self.gradient(zeta)
+
     @property
     def depends_on_path_state(self) -> bool:
         """Return whether phi is among the variables."""
@@ -104,10 +111,11 @@ class PolynomialBasis:
                 for j in range(total - i, -1, -1)
             ]
         )
-        # Where the power of each variable, and of its derivative, stands in the table of powers.
-        self._columns = [self._exponents[:, axis] for axis in range(3)]
-        self._derivative_columns = [np.maximum(column - 1, 0) for column in self._columns]
-        self._factors = [column.astype(float) for column in self._columns]
+        # Where the power of each variable stands in a table of powers, and that of its derivative.
+        first = np.arange(3)[:, None] * (degree + 1)
+        self._columns = first + self._exponents.T
+        self._derivative_columns = first + np.maximum(self._exponents.T - 1, 0)
+        self._factors = self._exponents.T.astype(float)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -129,30 +137,31 @@ class PolynomialBasis:
 
     def value(self, zeta: FloatArray) -> FloatArray:
         """Return sigma at states of shape (..., 4), shape (..., L)."""
-        powers = self._powers(zeta)
-        s, y, theta = (powers[..., axis, self._columns[axis]] for axis in range(3))
-        return np.asarray(s * y * theta)
+        return np.asarray(self._powers(zeta).take(self._columns, axis=-1).prod(axis=-2))
 
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
+        return self.value_and_gradient(zeta)[1]
+
+    def value_and_gradient(self, zeta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return sigma and sigma' at states of shape (..., 4)."""
         powers = self._powers(zeta)
-        s, y, theta = (powers[..., axis, self._columns[axis]] for axis in range(3))
-        by_s, by_y, by_theta = (
-            self._factors[axis] * powers[..., axis, self._derivative_columns[axis]]
-            for axis in range(3)
+        power = powers.take(self._columns, axis=-1)
+        slope = powers.take(self._derivative_columns, axis=-1) * self._factors
+        s, y, theta = (power[..., axis, :] for axis in range(3))
+        by_s, by_y, by_theta = (slope[..., axis, :] for axis in range(3))
+        position = s * y
+        gradient = components(
+            by_s * y * theta, s * by_y * theta, position * by_theta, np.zeros_like(s)
         )
-        gradient = np.zeros((*s.shape, len(STATE_LABELS)))
-        gradient[..., 0] = by_s * y * theta
-        gradient[..., 1] = s * by_y * theta
-        gradient[..., 2] = s * y * by_theta
-        return gradient
+        return position * theta, gradient
 
     def _powers(self, zeta: FloatArray) -> FloatArray:
-        """Return e to the powers 0, 1, ..., degree, shape (..., 3, degree + 1)."""
+        """Return e to the powers 0, 1, ..., degree, variable by variable, (..., 3 (degree + 1))."""
         powers = np.ones((*zeta.shape[:-1], 3, self.degree + 1))
         for power in range(1, self.degree + 1):
-            powers[..., power] = powers[..., power - 1] * zeta[..., :3]
-        return powers
+            np.multiply(powers[..., power - 1], zeta[..., :3], out=powers[..., power])
+        return powers.reshape(*zeta.shape[:-1], -1)
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of the value function e^T P e for P (..., 3, 3), shape (..., L)."""
@@ -190,17 +199,19 @@ class HalfAngleBasis:
 
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
+        return self.value_and_gradient(zeta)[1]
+
+    def value_and_gradient(self, zeta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return sigma and sigma' at states of shape (..., 4)."""
         turned, cos, sin = _half_angle(zeta)
-        inner = self._basis.gradient(turned)
-        cos, sin = cos[..., None], sin[..., None]
-        by_a, by_b = inner[..., 0], inner[..., 1]
-        gradient = np.empty_like(inner)
-        gradient[..., 0] = cos * by_a - sin * by_b
-        gradient[..., 1] = sin * by_a + cos * by_b
-        turning = turned[..., 1, None] * by_a - turned[..., 0, None] * by_b
-        gradient[..., 2] = inner[..., 2] + 0.5 * turning
-        gradient[..., 3] = inner[..., 3]
-        return gradient
+        value, inner = self._basis.value_and_gradient(turned)
+        jacobian = np.zeros((*cos.shape, 4, 4))  # of (a, b, theta, phi) by (s, y, theta, phi)
+        jacobian[..., 0, 0] = jacobian[..., 1, 1] = cos
+        jacobian[..., 0, 1], jacobian[..., 1, 0] = sin, -sin
+        jacobian[..., 0, 2] = 0.5 * turned[..., 1]
+        jacobian[..., 1, 2] = -0.5 * turned[..., 0]
+        jacobian[..., 2, 2] = jacobian[..., 3, 3] = 1.0
+        return value, np.matmul(inner, jacobian)
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""

@@ -111,25 +111,6 @@ class SampledModel:
         return bellman_errors(critic_weights, regressor, running_cost)
 
 
-def measured_error(
-    critic_weights: FloatArray,
-    gradient: FloatArray,
-    zeta_rate: FloatArray,
-    running_cost: FloatArray,
-) -> BellmanErrors:
-    """Return the Bellman error at the measured state, as one sample.
-
-    Args:
-        critic_weights: Wc, shape (..., L).
-        gradient: sigma'(zeta), shape (..., L, 4).
-        zeta_rate: f(zeta) + g(zeta) u with the input that was applied, shape (..., 4).
-        running_cost: e^T Q e + u^T R u, shape (...).
-
-    """
-    regressor = np.matmul(gradient, zeta_rate[..., None])[..., 0]
-    return bellman_errors(critic_weights, regressor[..., None, :], running_cost[..., None])
-
-
 def excitation(information: FloatArray) -> FloatArray:
     """Return the certificate of excitation: the smallest singular value of the information.
 

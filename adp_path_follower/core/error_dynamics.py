@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
 from adp_path_follower.core.settings import TargetSettings
 
 
@@ -20,7 +20,7 @@ def tracking_error(pose: FloatArray, frame_pose: FloatArray) -> FloatArray:
     heading = frame_pose[..., 2]
     cos, sin = np.cos(heading), np.sin(heading)
     theta = wrap_angle(pose[..., 2] - heading)
-    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, theta], axis=-1)
+    return components(cos * dx + sin * dy, cos * dy - sin * dx, theta)
 
 
 def target_speed(error: FloatArray, target: TargetSettings) -> FloatArray:
@@ -43,7 +43,7 @@ def arc_length_of(phi: FloatArray, target: TargetSettings) -> FloatArray:
 def feedforward(curvature: FloatArray, target: TargetSettings) -> FloatArray:
     """Return the input that keeps a robot on the path, [v_ss, w_ss] = v_des [1, kappa]."""
     speed = np.full_like(curvature, target.desired_speed)
-    return np.stack([speed, speed * curvature], axis=-1)
+    return components(speed, speed * curvature)
 
 
 def drift(zeta: FloatArray, curvature: FloatArray, target: TargetSettings) -> FloatArray:
@@ -59,14 +59,11 @@ def drift(zeta: FloatArray, curvature: FloatArray, target: TargetSettings) -> Fl
     speed = target_speed(zeta, target)
     v_des = target.desired_speed
     # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
-    return np.stack(
-        [
-            speed * (curvature * y - 1.0) + v_des * np.cos(theta),
-            v_des * np.sin(theta) - curvature * s * speed,
-            curvature * (v_des - speed),
-            target.path_state_gain * (1.0 - phi * phi) * speed,
-        ],
-        axis=-1,
+    return components(
+        speed * (curvature * y - 1.0) + v_des * np.cos(theta),
+        v_des * np.sin(theta) - curvature * s * speed,
+        curvature * (v_des - speed),
+        target.path_state_gain * (1.0 - phi * phi) * speed,
     )
 
 

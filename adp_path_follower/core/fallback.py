@@ -70,4 +70,4 @@ def distrust(
     low, high = _VALUE_LEVELS
     by_value = (value / (riccati_value + _NOTHING) - low) / (high - low)
     by_value = np.where(riccati_value > _NOTHING, by_value, 0.0)
-    return np.asarray(np.clip(np.maximum(by_error, by_value), 0.0, 1.0))
+    return np.asarray(np.minimum(np.maximum(np.maximum(by_error, by_value), 0.0), 1.0))

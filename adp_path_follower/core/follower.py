@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.arc_length_learner import ArcLengthLearner
-from adp_path_follower.core.bellman import BellmanErrors, measured_error
+from adp_path_follower.core.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.controller import ControlOutput, RunningCost, VirtualTarget
 from adp_path_follower.core.fallback import RiccatiPolicy, distrust
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learner import Evidence, Learner, Weights
+from adp_path_follower.core.learner import Evidence, Learner, LocalWeights, Weights
 from adp_path_follower.core.path import Path, PathFrame
 from adp_path_follower.core.path_state_learner import PathStateLearner
 from adp_path_follower.core.policy import actor_input, saturate
@@ -53,6 +53,32 @@ class FollowerOutput(ControlOutput):
     def excitation(self) -> FloatArray | float:
         """Return the certificate of excitation, shape (...)."""
         return self.sampled.excitation
+
+
+@dataclass(frozen=True)
+class _Situation:
+    """The value function and the model where a robot is.
+
+    Attributes:
+        zeta: The state, shape (..., 4).
+        curvature: kappa at the target [1/m], shape (...).
+        feedforward: [v_ss, w_ss], shape (..., 2).
+        drift_gradient: sigma' f, shape (..., L).
+        input_gradient: sigma' g, shape (..., L, 2).
+        local: The weights.
+        value: Wc^T sigma, shape (...).
+        passing: How fast the value changes because the target moves on, shape (...).
+
+    """
+
+    zeta: FloatArray
+    curvature: FloatArray
+    feedforward: FloatArray
+    drift_gradient: FloatArray
+    input_gradient: FloatArray
+    local: LocalWeights
+    value: FloatArray
+    passing: FloatArray
 
 
 class PathFollower:
@@ -99,7 +125,7 @@ class PathFollower:
         safe_policy = settings.policy.fallback != "none"
         self._fallback = RiccatiPolicy(settings, riccati) if safe_policy else None
         self._running_cost = RunningCost(settings.cost)
-        self._input_cost_inverse = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
+        self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
         self._time: int | None = None
@@ -169,57 +195,73 @@ class PathFollower:
 
     def _evaluate(self, frame: PathFrame, error: FloatArray) -> FollowerOutput:
         """Return command, cost and Bellman errors of the present weights at an error."""
-        target = self.settings.target
-        phi = error_dynamics.path_state(self.arc_length, target)
-        zeta = np.concatenate([error, phi[..., None]], axis=-1)
-        basis = self.settings.learning.value_basis
-        gradient = basis.gradient(zeta)
-        input_matrix = error_dynamics.input_matrix(zeta)
-        feedforward = error_dynamics.feedforward(frame.curvature, target)
-        drift = error_dynamics.drift(zeta, frame.curvature, target)
-        local = self._learner.local(self.arc_length)
-        terms = passing = np.zeros(())
-        if local.slope is not None or self._fallback is not None:
-            terms = basis.value(zeta)
-        if local.slope is not None:  # the value function changes along the path by itself
-            passing = error_dynamics.target_speed(error, target) * (local.slope * terms).sum(-1)
-
-        def measured(applied: FloatArray) -> tuple[FloatArray, BellmanErrors]:
-            running_cost = self._running_cost(error, applied)
-            rate = drift + np.matmul(input_matrix, applied[..., None])[..., 0]
-            spent = running_cost + passing
-            return running_cost, measured_error(local.weights.critic, gradient, rate, spent)
-
-        input_gradient = np.matmul(gradient, input_matrix)
-        wanted = actor_input(local.weights.actor, input_gradient, self._input_cost_inverse)
-        applied = saturate(wanted, feedforward, self.settings.limits)
-        running_cost, errors = measured(applied)
-        doubt = np.zeros_like(running_cost)
-        learned = applied
-        if self._fallback is not None:
-            value = (local.weights.critic * terms).sum(-1)
-            safe_value = self._fallback.value(zeta, frame.curvature)
-            doubt = distrust(errors.error[..., 0], running_cost, value, safe_value)
-            if doubt.any():
-                safe = self._fallback.modified_input(zeta, frame.curvature, feedforward)
-                applied = applied + doubt[..., None] * (safe - applied)
+        here = self._situation(frame, error)
+        wanted = actor_input(here.local.weights.actor, here.input_gradient, self._inverse_cost)
+        learned = applied = saturate(wanted, here.feedforward, self.settings.limits)
+        running_cost, measured = self._measure(here, learned)
+        doubt = self._doubt(here, running_cost, measured)
+        if self._fallback is not None and doubt.any():
+            safe = self._fallback.modified_input(here.zeta, here.curvature, here.feedforward)
+            applied = applied + doubt[..., None] * (safe - applied)
         if self._wide_region is not None:
-            applied = self._wide_region.blend(applied, zeta, frame.curvature, feedforward)
+            applied = self._wide_region.blend(applied, here.zeta, here.curvature, here.feedforward)
         if applied is not learned:
-            running_cost, errors = measured(applied)
+            running_cost, measured = self._measure(here, applied)
         return FollowerOutput(
-            command=applied + feedforward,
+            command=applied + here.feedforward,
             modified_input=applied,
             error=error,
             target_pose=frame.pose,
             arc_length=self.arc_length,
             curvature=frame.curvature,
             running_cost=running_cost,
-            weights=local.weights,
-            measured=errors,
+            weights=here.local.weights,
+            measured=measured,
             sampled=self._learner.sampled,
             doubt=doubt,
         )
+
+    def _situation(self, frame: PathFrame, error: FloatArray) -> _Situation:
+        """Return the value function and the model at an error from a frame of the path."""
+        target, curvature = self.settings.target, frame.curvature
+        phi = error_dynamics.path_state(self.arc_length, target)
+        zeta = np.concatenate([error, phi[..., None]], axis=-1)
+        terms, gradient = self.settings.learning.value_basis.value_and_gradient(zeta)
+        input_matrix = error_dynamics.input_matrix(zeta)
+        local = self._learner.local(self.arc_length)
+        passing = np.zeros(())
+        if local.slope is not None:  # the value function changes along the path by itself
+            passing = error_dynamics.target_speed(error, target) * (local.slope * terms).sum(-1)
+        return _Situation(
+            zeta=zeta,
+            curvature=curvature,
+            feedforward=error_dynamics.feedforward(curvature, target),
+            drift_gradient=_times(gradient, error_dynamics.drift(zeta, curvature, target)),
+            input_gradient=np.matmul(gradient, input_matrix),
+            local=local,
+            value=(local.weights.critic * terms).sum(-1),
+            passing=passing,
+        )
+
+    def _measure(self, here: _Situation, applied: FloatArray) -> tuple[FloatArray, BellmanErrors]:
+        """Return the running cost and the Bellman error of an input (..., 2)."""
+        running_cost = self._running_cost(here.zeta[..., :3], applied)
+        regressor = here.drift_gradient + _times(here.input_gradient, applied)
+        errors = bellman_errors(
+            here.local.weights.critic,
+            regressor[..., None, :],
+            (running_cost + here.passing)[..., None],
+        )
+        return running_cost, errors
+
+    def _doubt(
+        self, here: _Situation, running_cost: FloatArray, measured: BellmanErrors
+    ) -> FloatArray:
+        """Return from 0 to 1 how little the learned value function is to be trusted here."""
+        if self._fallback is None:
+            return np.zeros_like(running_cost)
+        safe_value = self._fallback.value(here.zeta, here.curvature)
+        return distrust(measured.error[..., 0], running_cost, here.value, safe_value)
 
     def hold(self) -> None:
         """Let no time pass until the next step: the robot was stopped, or not observed."""
@@ -246,3 +288,8 @@ class PathFollower:
         other._target = self._target.copy(settings.target)
         other.cost, other._previous, other._time = self.cost, self._previous, self._time
         return other
+
+
+def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return matrices (..., M, N) times vectors (..., N), shape (..., M)."""
+    return np.asarray(np.matmul(matrix, vector[..., None])[..., 0])

@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 from scipy.stats import qmc
 
 from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, components
 from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.settings import Settings
 
@@ -77,7 +77,7 @@ def fit(equations: NormalEquations) -> KnotFit:
     """Return the solution of the normal equations, by Cholesky's method."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(equations.matrix), 1e-300))
     scaled = equations.matrix * scale[:, None] * scale
-    scaled[np.diag_indices_from(scaled)] += _RIDGE
+    scaled.flat[:: len(scale) + 1] += _RIDGE  # the diagonal
     norm = float(np.abs(scaled).sum(axis=0).max())
     factor, failed = dpotrf(scaled, lower=1)
     if failed or not math.isfinite(norm):
@@ -97,8 +97,14 @@ def fit(equations: NormalEquations) -> KnotFit:
 class KnotModel:
     """The model of the error dynamics at scattered sampled states."""
 
-    def __init__(self, settings: Settings) -> None:
-        """Prepare what depends neither on weights nor on the path, at N samples."""
+    def __init__(self, settings: Settings, spacing: float) -> None:
+        """Prepare what depends neither on weights nor on curvature, at N samples.
+
+        Args:
+            settings: All settings.
+            spacing: Distance h between knots [m].
+
+        """
         learning = settings.learning
         self.states = scattered_samples(
             learning.sample_count, learning.sample_half_widths[:3], learning.sample_seed
@@ -115,7 +121,7 @@ class KnotModel:
         self._linear = np.ascontiguousarray(input_gradient[..., 0])  # sigma' g, (N, L) each
         self._angular = np.ascontiguousarray(input_gradient[..., 1])
         speed = error_dynamics.target_speed(zeta, target)
-        self._passing = basis.value(zeta) * speed[:, None]  # sigma s_p'
+        self._passing = basis.value(zeta) * speed[:, None] / spacing  # sigma s_p' / h
         self._target, self._limits = target, settings.limits
         self._input_cost = settings.cost.input_cost_matrix()
         self._half_inverse = -0.5 * np.linalg.inv(self._input_cost)
@@ -135,7 +141,6 @@ class KnotModel:
         samples: slice,
         ahead: FloatArray,
         curvature: float,
-        spacing: float,
     ) -> NormalEquations:
         """Return the normal equations of a knot's critic weights over some of the samples.
 
@@ -143,11 +148,10 @@ class KnotModel:
             samples: Which samples.
             ahead: Wc of the knot ahead, whose policy is evaluated, shape (L,).
             curvature: kappa [1/m] of the path at the knot.
-            spacing: Distance h to the knot ahead [m].
 
         """
         linear, angular = self._linear[samples], self._angular[samples]
-        descent = np.stack([linear @ ahead, angular @ ahead], axis=-1)
+        descent = components(linear @ ahead, angular @ ahead)
         inputs = descent @ self._half_inverse
         if not self._limits.unlimited:
             feedforward = error_dynamics.feedforward(np.asarray(curvature), self._target)
@@ -157,13 +161,14 @@ class KnotModel:
         regressor += inputs[:, 1:] * angular
         importance = self._importance[samples] / (1.0 + np.einsum("nl,nl->n", regressor, regressor))
         running_cost = self._state_cost[samples] + (inputs @ self._input_cost * inputs).sum(axis=1)
-        passing = self._passing[samples] / spacing
+        passing = self._passing[samples]
         constant = running_cost + passing @ ahead
         regressor -= passing
-        weighted = regressor * importance[:, None]
+        root = np.sqrt(importance)
+        weighted = regressor * root[:, None]
         return NormalEquations(
-            matrix=weighted.T @ regressor,
-            vector=constant @ weighted,
+            matrix=weighted.T @ weighted,  # numpy sees the symmetry, and does half the work
+            vector=(root * constant) @ weighted,
             offset=float(importance @ (constant * constant)),
             running_cost=float(importance @ (running_cost * running_cost)),
         )

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from adp_path_follower.core.errors import PathError
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, components
 
 MAX_POINTS = 1_000_000
 _COINCIDENCE = 1e-6  # [m]: points nearer than this to the one before count once
@@ -169,7 +169,7 @@ class Path:
         if beyond is not None:
             curvature = np.where(beyond == 0.0, curvature, 0.0)
             x, y = x + beyond * np.cos(heading), y + beyond * np.sin(heading)
-        return PathFrame(np.stack([x, y, heading], axis=-1), curvature)
+        return PathFrame(components(x, y, heading), curvature)
 
     def curvature(self, arc_length: ArrayLike) -> FloatArray:
         """Return the path curvature kappa [1/m] at each arc length, same shape."""

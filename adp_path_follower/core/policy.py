@@ -33,5 +33,6 @@ def saturate(
     """
     if limits.unlimited:
         return modified_input
-    command = np.clip(modified_input + feedforward, limits.lower, limits.upper)
+    command = modified_input + feedforward
+    command = np.minimum(np.maximum(command, limits.lower), limits.upper)
     return np.asarray(command - feedforward)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -111,17 +112,17 @@ class LimitSettings:
         symbol="ω_max",
     )
 
-    @property
+    @functools.cached_property
     def lower(self) -> FloatArray:
         """Return the lowest [v, w], shape (2,)."""
         return np.array([self.min_linear_vel, -self.max_angular_vel])
 
-    @property
+    @functools.cached_property
     def upper(self) -> FloatArray:
         """Return the highest [v, w], shape (2,)."""
         return np.array([self.max_linear_vel, self.max_angular_vel])
 
-    @property
+    @functools.cached_property
     def unlimited(self) -> bool:
         """Return whether no command is ever clipped."""
         return all(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adp_path_follower.core.fallback import RiccatiPolicy
-from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
 from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
@@ -64,5 +64,5 @@ class WideRegion:
         slope = matrix[..., 1, 2] / matrix[..., 2, 2]
         widest = self._policy.approach_angle
         off_course = wrap_angle(theta + widest * np.tanh(slope * y / widest))
-        pull = np.stack([matrix[..., 0, 0] * s, matrix[..., 2, 2] * off_course], axis=-1)
+        pull = components(matrix[..., 0, 0] * s, matrix[..., 2, 2] * off_course)
         return np.asarray(-pull @ self._input_cost_inverse)

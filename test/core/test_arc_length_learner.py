@@ -63,10 +63,10 @@ class CountingModel:
         """Return the number of samples."""
         return len(self._model)
 
-    def equations(self, samples, ahead, curvature, spacing):
+    def equations(self, samples, ahead, curvature):
         """Return what the model gives."""
         self.parts.append((samples.start, samples.stop))
-        return self._model.equations(samples, ahead, curvature, spacing)
+        return self._model.equations(samples, ahead, curvature)
 
 
 # --- the work of a step -------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from adp_path_follower.core.bellman import (
     SampledModel,
     bellman_errors,
     excitation,
-    measured_error,
     sample_grid,
 )
 from adp_path_follower.core.path_library import circle, lissajous
@@ -126,9 +125,9 @@ def test_the_grid_is_regular_and_symmetric_about_the_origin(half_widths, counts)
     zeta_rate=npst.arrays(float, 4, elements=st.floats(-2.0, 2.0)),
     running_cost=st.floats(0.0, 10.0),
 )
-def test_the_measured_error_is_the_formula(printed, critic, zeta, zeta_rate, running_cost):
+def test_a_bellman_error_is_the_formula(printed, critic, zeta, zeta_rate, running_cost):
     sigma = printed.gradient(zeta)
-    found = measured_error(critic, sigma, zeta_rate, np.array(running_cost))
+    found = bellman_errors(critic, (sigma @ zeta_rate)[None], np.array([running_cost]))
     assert found.error.shape == (1,)
     assert found.regressor.shape == (1, 9)
     omega = [sum(sigma[row, i] * zeta_rate[i] for i in range(4)) for row in range(9)]

@@ -105,7 +105,7 @@ def test_samples_fill_the_box_and_more_of_them_lie_near_the_path(seed):
 
 
 def test_a_model_has_the_samples_of_its_settings():
-    model = KnotModel(tuning(sample_count=100, sample_seed=7))
+    model = KnotModel(tuning(sample_count=100, sample_seed=7), 0.2)
     assert len(model) == 100
     expected = scattered_samples(100, WIDTHS[:3], 7)
     assert model.states.tobytes() == expected.tobytes()
@@ -118,16 +118,16 @@ def test_a_model_has_the_samples_of_its_settings():
 @pytest.mark.parametrize("limits", [UNLIMITED, ROBOT, NARROW], ids=["free", "robot", "narrow"])
 @pytest.mark.parametrize(("degree", "frame"), [(2, "serret_frenet"), (3, "half_angle")])
 def test_equations_are_the_sums_of_the_formulas(printed, explicit, costs, limits, degree, frame):
-    model = KnotModel(tuning(degree, frame, limits, costs))
     polynomial = explicit(degree, frame)
     matrices = printed.costs(dict(zip(("state_cost", "input_cost"), COSTS[costs], strict=True)))
     random = np.random.default_rng(degree)
     for kappa, spacing in ((0.0, 0.2), (-0.7, 0.05), (2.0, 1.0)):
+        model = KnotModel(tuning(degree, frame, limits, costs), spacing)
         ahead = random.normal(size=len(polynomial.exponents))
         c, x, r, q = samples_one_by_one(
             printed, polynomial, model.states, matrices, limits, ahead, kappa, spacing
         )
-        found = model.equations(slice(0, len(model)), ahead, kappa, spacing)
+        found = model.equations(slice(0, len(model)), ahead, kappa)
         matrix, vector = x.T @ (c[:, None] * x), x.T @ (c * r)
         np.testing.assert_allclose(found.matrix, matrix, rtol=1e-8, atol=1e-9 * matrix.max())
         np.testing.assert_allclose(found.vector, vector, rtol=1e-8, atol=1e-9 * abs(vector).max())
@@ -138,17 +138,17 @@ def test_equations_are_the_sums_of_the_formulas(printed, explicit, costs, limits
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds, kappa=st.floats(-3.0, 3.0), cuts=st.sets(st.integers(1, 159), max_size=6))
 def test_parts_of_the_samples_add_up_to_the_whole(seed, kappa, cuts):
-    model = KnotModel(tuning(degree=4, limits=ROBOT))
+    model = KnotModel(tuning(degree=4, limits=ROBOT), 0.2)
     ahead = np.random.default_rng(seed).normal(size=31)
     edges = [0, *sorted(cuts), len(model)]
     parts = [
-        model.equations(slice(start, stop), ahead, kappa, 0.2)
+        model.equations(slice(start, stop), ahead, kappa)
         for start, stop in itertools.pairwise(edges)
     ]
     total = parts[0]
     for part in parts[1:]:
         total = total + part
-    whole = model.equations(slice(0, len(model)), ahead, kappa, 0.2)
+    whole = model.equations(slice(0, len(model)), ahead, kappa)
     np.testing.assert_allclose(total.matrix, whole.matrix, atol=1e-10 * whole.matrix.max())
     np.testing.assert_allclose(total.vector, whole.vector, atol=1e-10 * abs(whole.vector).max())
     assert total.offset == pytest.approx(whole.offset, rel=1e-10)
@@ -164,7 +164,7 @@ def test_parts_of_the_samples_add_up_to_the_whole(seed, kappa, cuts):
 )
 @pytest.mark.parametrize("kappa", [0.0, 0.9])
 def test_the_fit_has_the_least_bellman_errors(printed, explicit, limits, degree, frame, kappa):
-    model = KnotModel(tuning(degree, frame, limits))
+    model = KnotModel(tuning(degree, frame, limits), 0.2)
     polynomial = explicit(degree, frame)
     ahead = np.zeros(len(polynomial.exponents))
     ahead[:6] = (0.9, 0.0, 0.0, 2.8, 2.0, 1.4)
@@ -174,7 +174,7 @@ def test_the_fit_has_the_least_bellman_errors(printed, explicit, limits, degree,
     )
     root = np.sqrt(c)
     best = np.linalg.lstsq(root[:, None] * x, -root * r, rcond=None)[0]
-    found = fit(model.equations(slice(0, len(model)), ahead, kappa, 0.2))
+    found = fit(model.equations(slice(0, len(model)), ahead, kappa))
     np.testing.assert_allclose(found.critic_weights, best, rtol=1e-4, atol=1e-4)
     least = c @ (r + x @ best) ** 2
     reached = c @ (r + x @ found.critic_weights) ** 2
@@ -184,11 +184,11 @@ def test_the_fit_has_the_least_bellman_errors(printed, explicit, limits, degree,
 
 @pytest.mark.parametrize("degree", range(2, 9))
 def test_the_excitation_certificate_bounds_the_smallest_singular_value(degree):
-    model = KnotModel(tuning(degree, sample_count=512))
+    model = KnotModel(tuning(degree, sample_count=512), 0.2)
     ahead = np.zeros(math.comb(degree + 3, 3) - 4)
     ahead[:6] = (0.9, 0.0, 0.0, 2.8, 2.0, 1.4)
     for kappa in (-0.5, 0.0, 1.2):
-        equations = model.equations(slice(0, len(model)), ahead, kappa, 0.2)
+        equations = model.equations(slice(0, len(model)), ahead, kappa)
         scale = np.sqrt(np.diag(equations.matrix))
         scaled = equations.matrix / scale[:, None] / scale
         smallest = float(np.linalg.svd(scaled, compute_uv=False)[-1])
