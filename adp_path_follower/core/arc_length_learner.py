@@ -158,7 +158,7 @@ class ArcLengthLearner:
 
     def _position(self, arc_length: FloatArray) -> FloatArray:
         """Return arc lengths in knot spacings, same shape, within what integers can count."""
-        place = np.where(np.isnan(arc_length), 0.0, arc_length) / self._spacing
+        place = np.where(np.isnan(arc_length), 0.0, arc_length)[()] / self._spacing
         return np.minimum(np.maximum(place, -_FARTHEST), _FARTHEST)
 
     def settle(

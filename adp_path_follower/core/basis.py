@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, components
+from adp_path_follower.core.geometry import FloatArray, components, unpacked
 
 STATE_LABELS = ("s", "y", "θ", "φ")
 
@@ -225,9 +225,9 @@ def half_angle_state(zeta: FloatArray) -> FloatArray:
 
 def _half_angle(zeta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the states with a and b for s and y, and cos and sin of half the heading error."""
-    half = 0.5 * zeta[..., 2]
+    s, y, theta, _ = unpacked(zeta)
+    half = 0.5 * theta
     cos, sin = np.cos(half), np.sin(half)
-    s, y = zeta[..., 0], zeta[..., 1]
     turned = zeta.copy()
     turned[..., 0] = s * cos + y * sin
     turned[..., 1] = y * cos - s * sin

@@ -9,25 +9,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
+from adp_path_follower.core.geometry import FloatArray, components, unpacked, wrap_angle
 from adp_path_follower.core.settings import TargetSettings
 
 
 def tracking_error(pose: FloatArray, frame_pose: FloatArray) -> FloatArray:
     """Return the error e = [s, y, theta] of a pose in the target's frame, shape (..., 3)."""
-    dx = pose[..., 0] - frame_pose[..., 0]
-    dy = pose[..., 1] - frame_pose[..., 1]
-    heading = frame_pose[..., 2]
+    x, y, robot_heading = unpacked(pose)
+    frame_x, frame_y, heading = unpacked(frame_pose)
+    dx, dy = x - frame_x, y - frame_y
     cos, sin = np.cos(heading), np.sin(heading)
-    theta = wrap_angle(pose[..., 2] - heading)
+    theta = wrap_angle(robot_heading - heading)
     return components(cos * dx + sin * dy, cos * dy - sin * dx, theta)
 
 
 def target_speed(error: FloatArray, target: TargetSettings) -> FloatArray:
     """Return the virtual target's speed s_p' = v_des cos(theta) + k1 s [m/s], shape (...)."""
-    return np.asarray(
-        target.desired_speed * np.cos(error[..., 2]) + target.target_gain * error[..., 0]
-    )
+    along, _, theta, *_ = unpacked(error)
+    return target.desired_speed * np.cos(theta) + target.target_gain * along
 
 
 def path_state(arc_length: FloatArray, target: TargetSettings) -> FloatArray:
@@ -55,7 +54,7 @@ def drift(zeta: FloatArray, curvature: FloatArray, target: TargetSettings) -> Fl
         target: v_des, k1 and k2.
 
     """
-    s, y, theta, phi = (zeta[..., i] for i in range(4))
+    s, y, theta, phi = unpacked(zeta)
     speed = target_speed(zeta, target)
     v_des = target.desired_speed
     # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
@@ -69,7 +68,7 @@ def drift(zeta: FloatArray, curvature: FloatArray, target: TargetSettings) -> Fl
 
 def input_matrix(zeta: FloatArray) -> FloatArray:
     """Return g of zeta' = f(zeta) + g(zeta) u, shape (..., 4, 2)."""
-    theta = zeta[..., 2]
+    theta = zeta[..., 2][()]
     matrix = np.zeros((*theta.shape, 4, 2))
     matrix[..., 0, 0] = np.cos(theta)
     matrix[..., 1, 0] = np.sin(theta)

@@ -9,6 +9,8 @@ is not to be trusted, and the Riccati policy drives.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from adp_path_follower.core.basis import half_angle_state, make_basis
@@ -18,9 +20,11 @@ from adp_path_follower.core.policy import actor_input, saturate
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 
-_ERROR_LEVELS = (0.5, 0.8)  # of the running cost: Bellman errors between trust and distrust
-_VALUE_LEVELS = (0.5, 0.25)  # of the Riccati solution's value: learned values likewise
-_NOTHING = 1e-12  # a running cost in which rounding decides
+_MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
+_LEAST_VALUE = 0.5  # of the Riccati solution's value: the learned value likewise
+_NOTHING = 1e-12  # a cost in which rounding decides
+_PROBATION = 0.5  # [s] without doubt, before the learned policy drives again
+_CHANGE_TIME = 0.2  # [s] from one policy to the other
 
 
 class RiccatiPolicy:
@@ -50,13 +54,42 @@ class RiccatiPolicy:
         return np.asarray((half_angle_error * pulled).sum(axis=-1))
 
 
-def distrust(
+class Distrust:
+    """Decides, robot by robot, when the Riccati policy drives in place of the learned one.
+
+    A mixture of two policies, each of which leads to the path, can stand still where the two
+    cancel. So it is one or the other: once what was learned is doubted, the Riccati policy drives
+    until there has been no doubt for a while, and the change takes a moment either way.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a past."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next decision takes effect at once."""
+        self._share: FloatArray | None = None
+        self._trusted_for: FloatArray = np.array(math.inf)
+
+    def share(self, doubtful: np.ndarray, dt: float) -> FloatArray:
+        """Return how much of the Riccati policy drives, from 0 to 1, dt [s] later, shape (...)."""
+        self._trusted_for = np.where(doubtful, 0.0, self._trusted_for + dt)
+        wanted = (self._trusted_for < _PROBATION).astype(float)
+        if self._share is None:
+            self._share = wanted
+        else:
+            step = dt / _CHANGE_TIME
+            self._share = self._share + np.minimum(np.maximum(wanted - self._share, -step), step)
+        return self._share
+
+
+def is_doubtful(
     bellman_error: FloatArray,
     running_cost: FloatArray,
     value: FloatArray,
     riccati_value: FloatArray,
-) -> FloatArray:
-    """Return from 0 to 1 how much of the Riccati policy a state needs, shape (...).
+) -> np.ndarray:
+    """Return where the learned value function does not decrease as it must, shape (...).
 
     Args:
         bellman_error: delta of the learned policy, shape (...).
@@ -65,9 +98,5 @@ def distrust(
         riccati_value: The Riccati solution's, shape (...).
 
     """
-    low, high = _ERROR_LEVELS
-    by_error = (bellman_error / (running_cost + _NOTHING) - low) / (high - low)
-    low, high = _VALUE_LEVELS
-    by_value = (value / (riccati_value + _NOTHING) - low) / (high - low)
-    by_value = np.where(riccati_value > _NOTHING, by_value, 0.0)
-    return np.asarray(np.minimum(np.maximum(np.maximum(by_error, by_value), 0.0), 1.0))
+    rises = bellman_error > _MOST_ERROR * running_cost + _NOTHING
+    return np.asarray(rises | (value < _LEAST_VALUE * riccati_value - _NOTHING))

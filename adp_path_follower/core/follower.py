@@ -11,7 +11,7 @@ from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.arc_length_learner import ArcLengthLearner
 from adp_path_follower.core.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.controller import ControlOutput, RunningCost, VirtualTarget
-from adp_path_follower.core.fallback import RiccatiPolicy, distrust
+from adp_path_follower.core.fallback import Distrust, RiccatiPolicy, is_doubtful
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learner import Evidence, Learner, LocalWeights, Weights
 from adp_path_follower.core.path import Path, PathFrame
@@ -124,6 +124,7 @@ class PathFollower:
         self._wide_region = WideRegion(settings, riccati) if far_policy else None
         safe_policy = settings.policy.fallback != "none"
         self._fallback = RiccatiPolicy(settings, riccati) if safe_policy else None
+        self._distrust = Distrust()
         self._running_cost = RunningCost(settings.cost)
         self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
         self.cost = np.zeros_like(self.arc_length)
@@ -157,7 +158,7 @@ class PathFollower:
         if self._previous is None or dt < 0.0:
             dt = 0.0
         frame, error = self._target.move(pose, dt)
-        output = self._evaluate(frame, error)
+        output = self._evaluate(frame, error, dt)
         if self._previous is not None:
             mean_rate = 0.5 * (self._previous.running_cost + output.running_cost)
             self.cost = self.cost + dt * mean_rate
@@ -190,16 +191,16 @@ class PathFollower:
         frame, error = self._target.move(pose, 0.0)
         self._target.hold()
         return self._learner.settle(
-            lambda: self._evaluate(frame, error).measured, self.arc_length, distance
+            lambda: self._evaluate(frame, error, 0.0).measured, self.arc_length, distance
         )
 
-    def _evaluate(self, frame: PathFrame, error: FloatArray) -> FollowerOutput:
-        """Return command, cost and Bellman errors of the present weights at an error."""
+    def _evaluate(self, frame: PathFrame, error: FloatArray, dt: float) -> FollowerOutput:
+        """Return command, cost and Bellman errors of the present weights, dt [s] after the last."""
         here = self._situation(frame, error)
         wanted = actor_input(here.local.weights.actor, here.input_gradient, self._inverse_cost)
         learned = applied = saturate(wanted, here.feedforward, self.settings.limits)
         running_cost, measured = self._measure(here, learned)
-        doubt = self._doubt(here, running_cost, measured)
+        doubt = self._doubt(here, running_cost, measured, dt)
         if self._fallback is not None and doubt.any():
             safe = self._fallback.modified_input(here.zeta, here.curvature, here.feedforward)
             applied = applied + doubt[..., None] * (safe - applied)
@@ -255,18 +256,20 @@ class PathFollower:
         return running_cost, errors
 
     def _doubt(
-        self, here: _Situation, running_cost: FloatArray, measured: BellmanErrors
+        self, here: _Situation, running_cost: FloatArray, measured: BellmanErrors, dt: float
     ) -> FloatArray:
-        """Return from 0 to 1 how little the learned value function is to be trusted here."""
+        """Return the share of the Riccati policy, from 0 to 1, shape (...)."""
         if self._fallback is None:
             return np.zeros_like(running_cost)
         safe_value = self._fallback.value(here.zeta, here.curvature)
-        return distrust(measured.error[..., 0], running_cost, here.value, safe_value)
+        doubtful = is_doubtful(measured.error[..., 0], running_cost, here.value, safe_value)
+        return self._distrust.share(doubtful, dt)
 
     def hold(self) -> None:
         """Let no time pass until the next step: the robot was stopped, or not observed."""
         self._previous = None
         self._target.hold()
+        self._distrust.reset()
 
     def reset_learning(self, where: np.ndarray | None = None) -> None:
         """Return to the initial weights, of the robots of a batch where (...) is true."""

@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 from scipy.stats import qmc
 
 from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.geometry import FloatArray, components
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.settings import Settings
 
@@ -151,8 +151,8 @@ class KnotModel:
 
         """
         linear, angular = self._linear[samples], self._angular[samples]
-        descent = components(linear @ ahead, angular @ ahead)
-        inputs = descent @ self._half_inverse
+        # One input after the other in memory: the operations on all samples then are fast.
+        inputs = (self._half_inverse @ np.array([linear @ ahead, angular @ ahead])).T
         if not self._limits.unlimited:
             feedforward = error_dynamics.feedforward(np.asarray(curvature), self._target)
             inputs = saturate(inputs, feedforward, self._limits)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from adp_path_follower.core.errors import PathError
-from adp_path_follower.core.geometry import FloatArray, components
+from adp_path_follower.core.geometry import FloatArray, components, unpacked
 
 MAX_POINTS = 1_000_000
 _COINCIDENCE = 1e-6  # [m]: points nearer than this to the one before count once
@@ -150,7 +150,7 @@ class Path:
 
     def frame(self, arc_length: ArrayLike) -> PathFrame:
         """Return pose and curvature at arc lengths s_p [m] of any shape."""
-        position = np.asarray(arc_length, dtype=float)
+        position = np.asarray(arc_length, dtype=float)[()]
         beyond = None
         if self.closed:
             inside = position - self.length * np.floor(position / self.length)
@@ -158,14 +158,12 @@ class Path:
             inside = np.minimum(np.maximum(position, 0.0), self.length)
             beyond = position - inside
         # fmin and fmax pass over NaN, which then comes out as a NaN pose.
-        number = np.fmin(np.fmax(inside / self._step, 0.0), self._pieces - 1)
-        piece = np.asarray(number).astype(np.intp)
+        piece = np.fmin(np.fmax(inside / self._step, 0.0), self._pieces - 1).astype(np.intp)
         powers = (inside - piece * self._step)[..., None] ** self._degrees
         values = np.matmul(self._blocks[piece], powers[..., None])[..., 0]
-        dx, dy, ddx, ddy = (values[..., row] for row in range(2, 6))
+        x, y, dx, dy, ddx, ddy = unpacked(values)
         heading = np.arctan2(dy, dx)
         curvature = (dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5
-        x, y = values[..., 0], values[..., 1]
         if beyond is not None:
             curvature = np.where(beyond == 0.0, curvature, 0.0)
             x, y = x + beyond * np.cos(heading), y + beyond * np.sin(heading)

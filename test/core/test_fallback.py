@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.fallback import RiccatiPolicy, distrust
+from adp_path_follower.core.fallback import Distrust, RiccatiPolicy, is_doubtful
 from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import pose_in_frame
 from adp_path_follower.core.path_library import lissajous, named_path
@@ -28,17 +28,27 @@ positive = st.floats(1e-6, 1e6)
 @settings(max_examples=100, deadline=None)
 @given(cost=positive, share=st.floats(-2.0, 3.0), value=positive, ratio=st.floats(-2.0, 3.0))
 def test_trust_ends_where_the_value_falls_too_slowly_or_is_too_small(cost, share, value, ratio):
-    found = float(distrust(*map(np.array, (share * cost, cost, ratio * value, value))))
-    assert 0.0 <= found <= 1.0
-    if share <= 0.5 and ratio >= 0.5:
-        assert found == pytest.approx(0.0, abs=1e-5)
-    if share >= 0.8 + 1e-5 or ratio <= 0.25:
-        assert found == 1.0
+    assume(abs(share - 0.5) > 1e-5)
+    assume(abs(ratio - 0.5) > 1e-5)
+    found = bool(is_doubtful(*map(np.array, (share * cost, cost, ratio * value, value))))
+    assert found == (share > 0.5 or ratio < 0.5)
 
 
 def test_on_the_path_nothing_is_doubted():
     nothing = np.zeros(())
-    assert float(distrust(nothing, nothing, nothing, nothing)) == 0.0
+    assert not is_doubtful(nothing, nothing, nothing, nothing)
+
+
+def test_the_first_decision_takes_effect_at_once_and_later_ones_change_over_steadily():
+    distrust, doubtful = Distrust(), np.array([True, False])
+    np.testing.assert_array_equal(distrust.share(doubtful, 0.01), [1.0, 0.0])
+    shares = np.array([distrust.share(~doubtful, 0.01) for _ in range(200)])
+    assert np.abs(np.diff(shares, axis=0)).max() <= 0.05 + 1e-12
+    assert (shares[:45, 0] == 1.0).all()  # half a second on probation
+    assert (shares[75:, 0] == 0.0).all()
+    assert (shares[25:, 1] == 1.0).all()
+    distrust.reset()
+    np.testing.assert_array_equal(distrust.share(doubtful, 0.01), [1.0, 0.0])
 
 
 def test_the_riccati_policy_is_the_linear_one_near_the_path():
