@@ -67,7 +67,7 @@ def view_of_replay(run: Run, replay: Replay) -> RunView:
     return RunView(
         time=time,
         path=replay.follower.path.points(0.05)[:, :2],
-        track=replay.odometry[:, :3],
+        track=replay.pose,
         target=np.array([output.target_pose[:2] for output in replay.outputs]),
         error=np.array([output.error for output in replay.outputs]),
         modified_input=np.array([output.modified_input for output in replay.outputs]),

@@ -115,7 +115,7 @@ def measure(run: Run, replay: Replay) -> RunMetrics:
             follower.settings,
             follower.path,
             time,
-            replay.odometry[:, :3],
+            replay.pose,
             replay.recorded,
             np.array([float(output.arc_length) for output in replay.outputs]),
         ),

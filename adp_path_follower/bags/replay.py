@@ -1,40 +1,72 @@
-"""Feed the odometry of a recorded run to `PathFollower` again."""
+"""Feed what a recorded run measured to `PathFollower` again."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import yaml
 
+from adp_path_follower.bags.columns import Series
+from adp_path_follower.bags.configuration import Configuration, parse_configuration
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.files import parse_yaml
 from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
-from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
+
+_NEIGHBOURS = np.arange(-2, 2)  # commands about the one that arrived with a step
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The control steps of a run.
+
+    Attributes:
+        stamp: Time of each [ns], shape (N,).
+        pose: x, y, theta that it went by, shape (N, 3).
+        arrival: When that was recorded [ns], shape (N,).
+
+    """
+
+    stamp: np.ndarray
+    pose: FloatArray
+    arrival: np.ndarray
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What `PathFollower` makes of recorded odometry.
+    """What `PathFollower` makes of a run.
 
     Attributes:
         follower: The follower after the run.
-        stamp: Time of each control step [ns], shape (N,).
-        odometry: x, y, theta, v, w at each step, shape (N, 5).
-        recorded: The commands [v, w] in the bag, shape (N, 2).
+        steps: The control steps, N of them.
+        recorded: The commands [v, w] in the bag, NaN where a step has none, shape (N, 2).
         outputs: What the follower gave, one for each step.
+        cost: J at each step, shape (N,).
 
     """
 
     follower: PathFollower
-    stamp: np.ndarray
-    odometry: FloatArray
+    steps: Steps
     recorded: FloatArray
     outputs: list[FollowerOutput]
+    cost: FloatArray
+
+    @property
+    def stamp(self) -> np.ndarray:
+        """Return the time of each step [ns], shape (N,)."""
+        return self.steps.stamp
+
+    @property
+    def pose(self) -> FloatArray:
+        """Return the pose that each step went by, shape (N, 3)."""
+        return self.steps.pose
+
+    @property
+    def answered(self) -> np.ndarray:
+        """Return which steps have a recorded command, shape (N,)."""
+        return np.asarray(np.isfinite(self.recorded).all(axis=1))
 
     @property
     def identical(self) -> np.ndarray:
@@ -46,75 +78,223 @@ class Replay:
         """Return the follower's commands [v, w], shape (N, 2)."""
         return np.array([output.command for output in self.outputs])
 
+    def identical_weights(self, run: Run) -> np.ndarray | None:
+        """Return for each recorded set of weights whether it comes out the same to the last bit.
+
+        Critic weights first, then the actor's. None where it is not known which steps they belong
+        to: weights carry no stamp, and only at its beginning may a recording lack some.
+        """
+        parts = []
+        for key in ("critic", "actor"):
+            series = run.series.get(f"{key}_weights")
+            count = 0 if series is None else len(series.stamp)
+            if series is None or count > len(self.outputs):
+                return None
+            found = np.array([getattr(output.weights, key) for output in self.outputs[-count:]])
+            if found.shape != series.values.shape:
+                return None
+            parts.append((found == series.values).all(axis=1))
+            if count < len(self.outputs) and not parts[-1].all():
+                return None
+        return np.concatenate(parts)
+
 
 def replay(run: Run, settings: Settings | None = None) -> Replay:
-    """Replay a run whose control steps were started by odometry (control_trigger: odometry).
+    """Replay a run with the steps, the paths and the changes of parameters that it had.
+
+    A run of this package's controller holds the pose that each step went by. Of another one, or
+    with older bags, each odometry message is a step.
 
     Args:
         run: The run.
         settings: What to replay it with; by default, what it was recorded with.
 
     Raises:
-        FileError: The bag lacks odometry, commands, path or configuration, its steps were started
-            by a timer, or a pose is none that a robot can have.
+        FileError: The bag lacks odometry, path or configuration, or a pose is none that a robot
+            can have.
 
     """
-    for name in ("odom", "cmd_vel"):
-        if name not in run.series:
-            raise FileError(f"the bag has no messages on '{name}': nothing to replay")
-    if not len(run.path_points):
-        raise FileError("the bag has no path: nothing to replay")
-    recorded_with = recorded_settings(run)
-    settings = settings or recorded_with
-    if recorded_with.controller.control_trigger != "odometry":
-        raise FileError("the bag was recorded with control_trigger: timer; replay needs odometry")
-    path = Path.from_points(run.path_points)
-    # The simulator repeats odometry that was not answered in time, the controller its answer:
-    # the first of each stamp counts.
-    odometry_stamps, first = np.unique(run.series["odom"].stamp, return_index=True)
-    odometry = run.series["odom"].values[first]
-    command_stamps, first = np.unique(run.series["cmd_vel"].stamp, return_index=True)
-    commands = run.series["cmd_vel"].values[first]
-    steps, in_odometry, in_commands = np.intersect1d(
-        odometry_stamps, command_stamps, return_indices=True
-    )
-    if not len(steps):
-        raise FileError("no command in the bag answers an odometry message: nothing to replay")
-    odometry, commands = odometry[in_odometry], commands[in_commands]
-    if not np.isfinite(odometry[:, :3]).all():
-        raise FileError("the bag has odometry that is not finite: it cannot be replayed")
-    at_beginning = recorded_with.controller.path_start == "beginning"
-    follower = PathFollower(settings, path, 0.0 if at_beginning else path.nearest(odometry[0, :3]))
-    outputs = []
-    for row, stamp in zip(odometry, steps, strict=True):
-        try:
-            with np.errstate(all="ignore"):  # a damaged pose is told below, once
-                outputs.append(follower.step_at(row[:3], int(stamp)))
-            sound = bool(np.isfinite(outputs[-1].command).all())
-        except (ArithmeticError, LookupError, ValueError):
-            sound = False
-        if not sound:  # where no robot ever was
-            pose = ", ".join(f"{value:g}" for value in row[:3])
-            raise FileError(f"no command follows from the pose ({pose}) at {stamp} ns")
-        if not path.closed and float(follower.arc_length) >= path.length:
-            break  # the goal: from here on the node commands zero velocity
+    steps = steps_of(run)
+    if settings is None and "measured_pose" not in run.series:
+        settings = _settings_of_odometry_steps(run)
+    driver = Driver(run, settings)
+    outputs: list[FollowerOutput] = []
+    cost = []
+    for pose, stamp in zip(steps.pose, steps.stamp.tolist(), strict=True):
+        outputs.append(driver.step(pose, stamp))
+        cost.append(float(driver.follower.cost))
+        if driver.at_goal and "measured_pose" not in run.series:
+            break  # from here on the node commands zero velocity
     count = len(outputs)
-    return Replay(follower, steps[:count], odometry[:count], commands[:count], outputs)
+    steps = Steps(steps.stamp[:count], steps.pose[:count], steps.arrival[:count])
+    commands = np.array([output.command for output in outputs])
+    recorded = _recorded(run.series.get("cmd_vel"), steps, commands)
+    return Replay(driver.follower, steps, recorded, outputs, np.array(cost))
+
+
+def steps_of(run: Run) -> Steps:
+    """Return the control steps of a run.
+
+    Raises:
+        FileError: There are none, or they are of poses that are not finite.
+
+    """
+    series = run.series.get("measured_pose", run.series.get("odom"))
+    if series is None:
+        raise FileError("the bag has no messages on 'odom': nothing to replay")
+    # The simulator repeats odometry that was not answered in time: the first of each stamp counts.
+    stamps, first = np.unique(series.stamp, return_index=True)
+    if series is run.series.get("odom") and "cmd_vel" in run.series:
+        # Only what was answered was a step, where commands say what they answer.
+        answered = np.isin(stamps, run.series["cmd_vel"].stamp)
+        if answered.any():
+            stamps, first = stamps[answered], first[answered]
+    pose = series.values[first][:, :3]
+    if not np.isfinite(pose).all():
+        raise FileError("the bag has odometry that is not finite: it cannot be replayed")
+    return Steps(stamps, pose, series.arrival[first])
 
 
 def recorded_settings(run: Run) -> Settings:
-    """Return the settings that the controller said it runs with.
+    """Return the settings that the controller said last it runs with.
 
     Raises:
         FileError: The bag has none, or none that can be read.
         SettingsError: They are none of this version.
 
     """
-    try:
-        content = parse_yaml(run.configuration)
-    except yaml.YAMLError:
-        content = None
-    values = content.get("settings") if isinstance(content, dict) else None
-    if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
-        raise FileError("the bag has no sound path_follower/configuration: nothing to replay")
-    return build(Settings, values)
+    return parse_configuration(run.configuration).settings
+
+
+class Driver:
+    """What the controller node does with a follower, from what it said about it."""
+
+    def __init__(self, run: Run, settings: Settings | None) -> None:
+        """Take the paths and the changes of parameters; settings replace the recorded ones."""
+        if not len(run.path_points):
+            raise FileError("the bag has no path: nothing to replay")
+        self._fixed = settings
+        self._paths = [Path.from_points(points) for _, points in run.paths if len(points)]
+        told = run.configurations if "measured_pose" in run.series else ()
+        self._changes = iter([parse_configuration(text) for _, text in told])
+        self._next = next(self._changes, None)
+        if self._next is None and settings is None:
+            raise FileError("the bag has no path_follower/configuration: replay it with --params")
+        self._resets = 0 if self._next is None else self._next.learning_resets
+        self._restarts = 0 if self._next is None else self._next.restarts
+        self._settings, self._path = settings, self._paths[-1] if self._next is None else None
+        self._follower: PathFollower | None = None
+        self._learned: PathFollower | None = None  # the follower of the path before
+
+    @property
+    def follower(self) -> PathFollower:
+        """Return the follower of the present path."""
+        assert self._follower is not None  # every step makes one that is missing
+        return self._follower
+
+    @property
+    def settings(self) -> Settings:
+        """Return the present settings, or those that the first step will have."""
+        if self._settings is not None:
+            return self._settings
+        assert self._next is not None  # `__init__` refuses a run that has neither
+        return self._next.settings
+
+    @property
+    def at_goal(self) -> bool:
+        """Return whether the target is at the end of an open path."""
+        path = self.follower.path
+        return not path.closed and float(self.follower.arc_length) >= path.length
+
+    def step(self, pose: FloatArray, stamp: int) -> FollowerOutput:
+        """Return what the follower gives for a pose (3,) at a time [ns].
+
+        Raises:
+            FileError: The pose is none that a robot can have.
+
+        """
+        while self._next is not None and self._next.after_step < stamp:
+            self._change(self._next)
+            self._next = next(self._changes, None)
+        try:
+            with np.errstate(all="ignore"):  # a damaged pose is told below, once
+                if self._follower is None:
+                    self._start(pose)
+                output = self.follower.step_at(pose, stamp)
+            sound = bool(np.isfinite(output.command).all())
+        except (ArithmeticError, LookupError, ValueError):
+            sound = False
+        if not sound:  # where no robot ever was
+            text = ", ".join(f"{value:g}" for value in pose)
+            raise FileError(f"no command follows from the pose ({text}) at {stamp} ns")
+        return output
+
+    def _change(self, change: Configuration) -> None:
+        """Take over a path, settings or a reset of learning, as the node did."""
+        if change.learning_resets != self._resets:
+            self._resets, self._learned = change.learning_resets, None
+            if self._follower is not None:
+                self._follower.reset_learning()
+        if change.restarts != self._restarts:
+            self._restarts, self._learned, self._follower = change.restarts, self._follower, None
+        path = self._path_of(change.path_digest)
+        if path is not self._path:
+            if path is not None and self._follower is not None:
+                self._learned = self._follower
+            self._path, self._follower = path, None
+        settings = self._fixed or change.settings
+        if self._follower is not None and settings != self._settings:
+            self._follower = self._follower.reconfigured(settings)
+        self._settings = settings
+
+    def _path_of(self, digest: str) -> Path | None:
+        if not digest:
+            return None
+        for path in self._paths:
+            if path.digest() == digest:
+                return path
+        raise FileError(f"the bag has not the path {digest} that the controller followed")
+
+    def _start(self, pose: FloatArray) -> None:
+        """Begin to follow the path from a pose."""
+        if self._path is None or self._settings is None:
+            raise FileError("the bag has control steps from before the controller had a path")
+        beginning = self._settings.controller.path_start == "beginning"
+        arc_length = 0.0 if beginning else self._path.nearest(pose)
+        self._follower = PathFollower(self._settings, self._path, arc_length)
+        if self._learned is not None:
+            self._follower.take_over(self._learned)
+            self._learned = None
+
+
+def _settings_of_odometry_steps(run: Run) -> Settings:
+    """Return the recorded settings of a run whose odometry messages were its steps.
+
+    Raises:
+        FileError: They were not.
+
+    """
+    settings = recorded_settings(run)
+    if settings.controller.control_trigger != "odometry":
+        raise FileError(
+            "the bag does not say which pose each step went by (path_follower/measured_pose), and "
+            "its steps were not those of the odometry: replay it with --params"
+        )
+    return settings
+
+
+def _recorded(commands: Series | None, steps: Steps, replayed: FloatArray) -> FloatArray:
+    """Return the recorded command of each step, NaN where there is none, shape (N, 2)."""
+    found = np.full(replayed.shape, np.nan)
+    if commands is None:
+        return found
+    if not np.array_equal(commands.stamp, commands.arrival):
+        stamps, first = np.unique(commands.stamp, return_index=True)
+        _, in_steps, in_commands = np.intersect1d(steps.stamp, stamps, return_indices=True)
+        found[in_steps] = commands.values[first[in_commands]]
+        return found
+    # Without stamps: of those that arrived about then, the one that comes nearest.
+    place = np.searchsorted(commands.arrival, steps.arrival)[:, None] + _NEIGHBOURS
+    near = commands.values[np.clip(place, 0, len(commands.stamp) - 1)]
+    apart = np.abs(near - replayed[:, None]).sum(axis=2)
+    return np.asarray(near[np.arange(len(near)), apart.argmin(axis=1)])

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import sys
+from datetime import datetime
 from pathlib import Path
 
 import click
 import numpy as np
 
-from adp_path_follower.bags.reader import read_run
+from adp_path_follower.bags.reader import Run, read_run
 from adp_path_follower.bags.replay import Replay, recorded_settings
 from adp_path_follower.bags.replay import replay as replay_run
-from adp_path_follower.cli.options import FILE, check_writable, settings_options
+from adp_path_follower.bags.replay_bag import write_replay
+from adp_path_follower.bags.rerun import rerun
+from adp_path_follower.cli.options import (
+    FILE,
+    check_writable,
+    new_directory,
+    progress_bar,
+    settings_options,
+)
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings, parse_assignment
 from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
@@ -20,68 +31,171 @@ from adp_path_follower.core.settings import Settings
 @click.command()
 @click.argument("bag", type=FILE)
 @settings_options
+@click.option(
+    "--closed-loop",
+    is_flag=True,
+    help="Drive the simulator from the recorded initial pose, instead of the recorded motion.",
+)
+@click.option(
+    "--out",
+    "directory",
+    type=FILE,
+    metavar="DIR",
+    help="Where bag and report go: a new or empty directory (adp_replay_DATE if it is not given, "
+    "and other parameters or --closed-loop are).",
+)
 @click.option("--csv", "csv_file", type=FILE, metavar="FILE.csv", help="Write both commands.")
 @click.option("--figure", "figure_file", type=FILE, metavar="FILE.png", help="Draw both commands.")
+@click.option(
+    "--republish",
+    is_flag=True,
+    help="Play odometry, path and /clock to a live controller, which must run with "
+    "use_sim_time:=true.",
+)
+@click.option(
+    "--rate",
+    type=click.FloatRange(0.01, 100.0),
+    default=1.0,
+    show_default=True,
+    help="Seconds of the bag in one second, for --republish.",
+)
 def replay(
     bag: Path,
     params: Path | None,
     assignments: tuple[str, ...],
+    closed_loop: bool,
+    directory: Path | None,
     csv_file: Path | None,
     figure_file: Path | None,
+    republish: bool,
+    rate: float,
 ) -> None:
     r"""Feed a bag's odometry and path to the controller again.
 
-    With the recorded parameters, every command must come out the same to the last bit; exit code 1
-    if one does not. With others it tells what the controller would have commanded, had the robot
-    moved as it did. The bag must come from a run whose control steps were started by odometry
-    (control_trigger: odometry, as in `adp demo`).
+    With the recorded parameters, every command and every weight must come out the same to the last
+    bit; exit code 1 if one does not. With others it tells what the controller would have commanded,
+    had the robot moved as it did, and with --closed-loop how the robot would have moved: in a bag,
+    and in a report that lays both over each other.
 
     \b
     The same again:           adp replay adp_demo_.../bag
-    With other parameters:    adp replay adp_demo_.../bag --set max_angular_vel=0.4 --figure w.png
+    With other parameters:    adp replay my_bag --set max_angular_vel=0.4
+    How it would have moved:  adp replay my_bag --params other.yaml --closed-loop
+    To a live controller:     adp replay my_bag --republish --rate 2
     """
     check_writable(csv_file, figure_file)
     run = read_run(bag)
-    changed = params is not None or bool(assignments)
-    settings = recorded_settings(run)
-    if params is not None:
-        settings = load_settings(Settings, "path_follower", params, assignments)
-    elif assignments:
-        settings = update(settings, dict(map(parse_assignment, assignments)))
-    found = replay_run(run, settings)
-    click.echo(_report(found, changed))
+    if republish:
+        _republish(bag, run, rate)
+        return
+    settings = _settings(run, params, assignments)
+    velocity: FloatArray | None = None
+    if closed_loop:
+        if csv_file or figure_file:
+            raise AdpError("--csv and --figure compare commands step by step: not --closed-loop")
+        found, velocity = rerun(run, settings)
+    else:
+        found = replay_run(run, settings)
+        click.echo(_report(found, run, settings is not None))
     if csv_file is not None:
-        time = (found.stamp - found.stamp[0]) * 1e-9
-        table = np.column_stack([time, found.recorded, found.replayed])
-        header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
-        np.savetxt(csv_file, table, delimiter=",", header=header, comments="", fmt="%.17g")
+        _write_csv(found, csv_file)
     if figure_file is not None:
         from adp_path_follower.analysis.figures import draw_replay
 
         draw_replay(found, figure_file)
-    sys.exit(0 if changed or found.identical.all() else 1)
+    if directory is not None or closed_loop or settings is not None:
+        name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
+        directory = new_directory(directory or Path(name))
+        replayed = directory / f"{bag.resolve().stem}_replayed"
+        write_replay(found, bag, run.topics, replayed, velocity)
+        _write_report(bag, replayed)
+    answered = found.answered
+    differs = settings is None and not closed_loop and not found.identical[answered].all()
+    sys.exit(1 if differs else 0)
 
 
-def _report(found: Replay, changed: bool) -> str:
-    """Return how recorded and replayed commands compare."""
-    same = found.identical
+def _settings(run: Run, params: Path | None, assignments: tuple[str, ...]) -> Settings | None:
+    """Return the settings that were asked for, None for the recorded ones."""
+    if params is not None:
+        return load_settings(Settings, "path_follower", params, assignments)
+    if assignments:
+        return update(recorded_settings(run), dict(map(parse_assignment, assignments)))
+    return None
+
+
+def _republish(bag: Path, run: Run, rate: float) -> None:
+    try:
+        from adp_path_follower.nodes.republisher import republish
+    except ImportError:
+        raise AdpError(
+            "ROS 2 is missing: source a Jazzy installation, or install its wheels with: "
+            "pip install 'adp_path_follower[jazzy]'"
+        ) from None
+    for key in ("odom", "path"):
+        if key not in run.topics:
+            raise AdpError(f"bag {bag} has no topic '{key}': nothing to play")
+    with progress_bar("playing") as progress:
+        count = republish(bag, run.topics, rate, progress)
+    click.echo(f"played {count} messages")
+
+
+def _write_csv(found: Replay, file: Path) -> None:
+    time = (found.stamp - found.stamp[0]) * 1e-9
+    table = np.column_stack([time, found.recorded, found.replayed])
+    header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
+    np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.17g")
+
+
+def _write_report(bag: Path, replayed: Path) -> None:
+    """Lay the recorded and the new run over each other, as `adp analyze` does."""
+    directory = replayed.parent
+    try:
+        from adp_path_follower.analysis.bag_analysis import analyse_bag
+        from adp_path_follower.analysis.report import write_report
+    except AdpError as error:
+        click.echo(f"In {directory}: {replayed.name}/, without a report: {error}")
+        return
+    analyses = []
+    for number, (label, source) in enumerate((("recorded", bag), ("replayed", replayed))):
+        with progress_bar(f"reading the {label} run") as progress:
+            file = directory / f"trajectory_{number + 1}.tum"
+            analyses.append(analyse_bag(source.resolve(), {}, 2, file, progress))
+    write_report(analyses, [], directory / "report.html")
+    click.echo(f"In {directory}: report.html, {replayed.name}/ (rosbag2, MCAP), trajectory_*.tum")
+
+
+def _report(found: Replay, run: Run, changed: bool) -> str:
+    """Return how recorded and replayed commands and weights compare."""
+    answered = found.answered
+    if not answered.any():
+        return f"{len(answered)} steps replayed; the bag has no commands to compare with"
+    same = found.identical[answered]
     lines = [f"{int(same.sum())} of {len(same)} commands are identical to the last bit"]
-    if same.all():
-        return lines[0]
-    first = int(np.argmin(same))
-    apart = np.abs(found.replayed - found.recorded)
-    lines.append(
-        f"first difference after {(found.stamp[first] - found.stamp[0]) * 1e-9:.3f} s: recorded "
-        f"v = {found.recorded[first, 0]:.6g} m/s, ω = {found.recorded[first, 1]:.6g} rad/s; "
-        f"replayed v = {found.replayed[first, 0]:.6g} m/s, ω = {found.replayed[first, 1]:.6g} rad/s"
-    )
-    lines.append(
-        f"largest difference: {apart[:, 0].max():.3g} m/s and {apart[:, 1].max():.3g} rad/s; RMS "
-        f"{np.sqrt((apart[:, 0] ** 2).mean()):.3g} m/s and "
-        f"{np.sqrt((apart[:, 1] ** 2).mean()):.3g} rad/s"
-    )
-    if not changed:
-        lines.append(
-            "the parameters are the recorded ones: the bag is of another version, or was damaged"
-        )
+    weights = found.identical_weights(run)
+    if weights is not None and not changed:
+        lines.append(f"{int(weights.sum())} of {len(weights)} sets of weights are, too")
+    if not same.all():
+        lines += _differences(found)
+        if not changed:
+            lines.append(
+                "the parameters are the recorded ones: the bag is of another version, or was "
+                "damaged"
+            )
     return "\n".join(lines)
+
+
+def _differences(found: Replay) -> list[str]:
+    """Return where commands first differ, and by how much."""
+    answered = found.answered
+    time = (found.stamp[answered] - found.stamp[0]) * 1e-9
+    recorded, replayed = found.recorded[answered], found.replayed[answered]
+    first = int(np.argmin(found.identical[answered]))
+    apart = np.abs(replayed - recorded)
+    rms = np.sqrt((apart**2).mean(axis=0))
+    return [
+        f"first difference after {time[first]:.3f} s: recorded v = {recorded[first, 0]:.6g} m/s, "
+        f"ω = {recorded[first, 1]:.6g} rad/s; replayed v = {replayed[first, 0]:.6g} m/s, "
+        f"ω = {replayed[first, 1]:.6g} rad/s",
+        f"largest difference: {apart[:, 0].max():.3g} m/s and {apart[:, 1].max():.3g} rad/s; RMS "
+        f"{rms[0]:.3g} m/s and {rms[1]:.3g} rad/s",
+    ]

@@ -162,6 +162,26 @@ class ControllerSettings:
         low=0.01,
         high=60.0,
     )
+    odom_jump_tolerance: float = setting(
+        0.5,
+        "How far odometry may be from where its velocity leads from one message to the next; "
+        "beyond, the robot is told to stop. .inf allows any jump.",
+        unit="m",
+        low=POSITIVE,
+    )
+    max_cross_track_error: float = setting(
+        math.inf,
+        "Distance from the path, sideways at the virtual target, at which the robot is told to "
+        "stop until ~/resume is called.",
+        unit="m",
+        low=POSITIVE,
+    )
+    max_heading_error: float = setting(
+        math.inf,
+        "Heading error at which the robot is told to stop until ~/resume is called.",
+        unit="rad",
+        low=POSITIVE,
+    )
     enable_stamped_cmd_vel: bool = setting(
         True,
         "Publish geometry_msgs/TwistStamped; false publishes geometry_msgs/Twist.",

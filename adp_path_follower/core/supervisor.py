@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.settings import ControllerSettings
+
 
 class State(Enum):
     """States of the controller."""
@@ -13,6 +16,7 @@ class State(Enum):
     WAITING = "waiting"
     FOLLOWING = "following"
     GOAL_REACHED = "goal reached"
+    STOPPED = "stopped"
     FAULT = "fault"
 
 
@@ -25,28 +29,56 @@ class Status:
     remedy: str = ""
 
 
+_RESUME = "call ~/resume"
+
+
+def deviation(error: FloatArray, controller: ControllerSettings) -> str:
+    """Return how an error [s, y, theta] is above what the user allows, empty if it is not."""
+    _, cross_track, heading = abs(error).tolist()
+    if cross_track > controller.max_cross_track_error:
+        limit = controller.max_cross_track_error
+        return f"cross-track error {cross_track:.3f} m is above max_cross_track_error {limit:g}"
+    if heading > controller.max_heading_error:
+        limit = controller.max_heading_error
+        return f"heading error {heading:.3f} rad is above max_heading_error {limit:g}"
+    return ""
+
+
 class Supervisor:
     """Decide from the inputs' freshness and soundness whether the robot may move.
 
-    A fault clears itself as soon as sound odometry returns. Times are steady seconds: they go on
-    when the ROS clock stands still.
+    A fault of the odometry, of the clock or of the command clears itself as soon as sound odometry
+    returns; that the robot was too far from the path stays until `resume`. Times are steady
+    seconds: they go on when the ROS clock stands still.
     """
 
     def __init__(self, odom_timeout: float) -> None:
         """Start without path and odometry; `odom_timeout` [s] may be changed later."""
         self.odom_timeout = odom_timeout
+        self.active = False
         self._odometry_time: float | None = None
+        self._tick_time: float | None = None
         self._odometry_problem = ""
+        self._command_problem = ""
+        self._deviation = ""
+        self._clock_missing = False
         self._has_path = False
         self._goal_reached = False
-        self._command_problem = ""
-        self.active = False
+        self._stopped = False
 
     def odometry_received(self, now: float, problem: str = "") -> None:
         """Note a message, and what is wrong with it."""
         self._odometry_time = now
         self._odometry_problem = problem
         self._command_problem = ""
+
+    def tick(self, now: float) -> None:
+        """Note that the control timer goes on."""
+        self._tick_time = now
+
+    def clock_missing(self, missing: bool) -> None:
+        """Note whether the clock that control steps go by has not been heard yet."""
+        self._clock_missing = missing
 
     def path_received(self) -> None:
         """Note a new path."""
@@ -65,35 +97,73 @@ class Supervisor:
         """Note that no sound command could be found for the last odometry."""
         self._command_problem = problem
 
+    def deviated(self, problem: str) -> None:
+        """Note that the robot is further from the path than the user allows."""
+        self._deviation = problem
+
+    def stop(self) -> None:
+        """Stop on the user's demand."""
+        self._stopped = True
+
+    def resume(self) -> None:
+        """Go on after a stop, or after the robot was too far from the path."""
+        self._stopped, self._deviation = False, ""
+
     def status(self, now: float) -> Status:
         """Return the state at a steady time [s]."""
         if not self.active:
             return Status(State.INACTIVE, "not activated", "call the lifecycle transition activate")
+        if self._stopped:
+            return Status(State.STOPPED, "~/stop was called", _RESUME)
+        return self._waiting() or self._fault(now) or self._going()
+
+    def _waiting(self) -> Status | None:
+        """Return what is waited for, if anything."""
+        if self._clock_missing:
+            return Status(
+                State.WAITING, "no time on /clock", "start what publishes it, or unset use_sim_time"
+            )
         if not self._has_path:
             return Status(State.WAITING, "no path", "publish a nav_msgs/Path on 'path'")
         if self._odometry_time is None:
             return Status(
                 State.WAITING, "no odometry", "publish nav_msgs/Odometry on 'odom', or remap it"
             )
-        age = now - self._odometry_time
-        if age > self.odom_timeout:
-            return Status(
-                State.FAULT,
-                f"no odometry for more than {self.odom_timeout:g} s",
+        return None
+
+    def _fault(self, now: float) -> Status | None:
+        """Return what forbids to move, if anything."""
+        assert self._odometry_time is not None  # else it is waited for
+        timeout = self.odom_timeout
+        faults = (
+            (
+                now - self._odometry_time > timeout,
+                f"no odometry for more than {timeout:g} s",
                 "check the odometry source; following goes on when it returns",
-            )
-        if self._odometry_problem:
-            return Status(
-                State.FAULT,
+            ),
+            (
+                self._tick_time is not None and now - self._tick_time > timeout,
+                f"no control step for more than {timeout:g} s",
+                "check /clock, which may stand still; following goes on when it does",
+            ),
+            (
+                bool(self._odometry_problem),
                 self._odometry_problem,
                 "check the odometry source; following goes on with the next sound message",
-            )
-        if self._command_problem:
-            return Status(
-                State.FAULT,
+            ),
+            (
+                bool(self._command_problem),
                 self._command_problem,
-                "learning was reset; following goes on with the next odometry",
-            )
+                "following goes on with the next odometry",
+            ),
+            (bool(self._deviation), self._deviation, f"bring the robot back, then {_RESUME}"),
+        )
+        for holds, cause, remedy in faults:
+            if holds:
+                return Status(State.FAULT, cause, remedy)
+        return None
+
+    def _going(self) -> Status:
         if self._goal_reached:
             return Status(State.GOAL_REACHED, "end of the path", "publish another path")
         return Status(State.FOLLOWING)

@@ -6,44 +6,39 @@ import time as steady
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
 from adp_path_follower import __version__
+from adp_path_follower.bags.configuration import NO_STEP, configuration_text
 from adp_path_follower.core.errors import PathError, SettingsError
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.odometry_check import OdometryCheck
 from adp_path_follower.core.path import Path
-from adp_path_follower.core.schema import flatten, yaml_text
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.supervisor import State, Status, Supervisor
+from adp_path_follower.core.supervisor import State, Status, Supervisor, deviation
+from adp_path_follower.nodes.commands import WATCH_PERIOD, Commands
 from adp_path_follower.nodes.conversions import (
     Measurement,
     MessageError,
     measurement_of,
     path_of,
-    twist_message,
-    twist_stamped,
+    wrong_frame,
 )
 from adp_path_follower.nodes.parameters import changed_settings, declare_settings
 from adp_path_follower.nodes.run import Ending, run_node
-from adp_path_follower.nodes.telemetry import EVERY_STEP, LOSSLESS, Telemetry
+from adp_path_follower.nodes.telemetry import Telemetry
 
 NODE_NAME = "path_follower"
 
-_WATCHDOG_PERIOD = 0.02  # [s], steady
-_STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop
 _MARKER_PERIOD = 0.1  # [s], steady
-_DELIVERY_TIMEOUT = 0.3  # [s]
-_LAST_WORDS = 3  # zero velocities before the node goes
 _ZERO = np.zeros(2)
 
 
@@ -56,8 +51,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._settings = declare_settings(self, Settings)
         self.add_on_set_parameters_callback(self._change_parameters)
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._heard = False  # whether anybody has listened to commands since the activation
-        self._command_publisher: Any = None
+        self._commands: Commands | None = None
         self._entities: list[tuple[Any, Any]] = []
         self._forget_run()
         if self._settings.controller.autostart:
@@ -69,16 +63,19 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._path: Path | None = None
         self._path_frame = ""
         self._path_problem = ""
-        self._learning_problem = ""
         self._follower: PathFollower | None = None
         self._learned: PathFollower | None = None  # the follower of the path before
         self._measurement: Measurement | None = None
         self._step_time: int | None = None
+        self._learning_resets = 0
         self._last_command: FloatArray = _ZERO
-        self._stop_until = 0.0
+        self._restarts = 0
+        self._clock_time = 0
         self._shown = Status(State.INACTIVE)
+        self._shown_since = 0
         self._next_diagnostics = 0.0
         self._next_markers = 0.0
+        self._odometry_check = OdometryCheck()
         self._supervisor = Supervisor(self._settings.controller.odom_timeout)
 
     # Lifecycle
@@ -86,10 +83,12 @@ class PathFollowerNode(Ending, LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Create publishers, subscriptions, services and timers."""
         controller = self._settings.controller
-        kind = TwistStamped if controller.enable_stamped_cmd_vel else Twist
         lossless = controller.control_trigger == "odometry"
-        self._command_publisher = self.create_publisher(
-            kind, "cmd_vel", LOSSLESS if lossless else EVERY_STEP
+        self._commands = Commands(
+            self,
+            controller.enable_stamped_cmd_vel,
+            lossless,
+            lambda: self._settings.controller.odom_timeout,
         )
         labels = self._settings.learning.value_basis.labels
         self._telemetry = Telemetry(self, labels, lossless)
@@ -99,11 +98,13 @@ class PathFollowerNode(Ending, LifecycleNode):
         )
         path = self.create_subscription(PathMessage, "path", self._receive_path, latched)
         reset = self.create_service(Trigger, "~/reset_learning", self._reset_learning)
-        watchdog = self.create_timer(_WATCHDOG_PERIOD, self._watch, clock=self._steady_clock)
+        stop = self.create_service(Trigger, "~/stop", self._stop)
+        resume = self.create_service(Trigger, "~/resume", self._resume)
+        watchdog = self.create_timer(WATCH_PERIOD, self._watch, clock=self._steady_clock)
         self._entities = [
             (self.destroy_subscription, odom),
             (self.destroy_subscription, path),
-            (self.destroy_service, reset),
+            *((self.destroy_service, service) for service in (reset, stop, resume)),
             (self.destroy_timer, watchdog),
         ]
         if controller.control_trigger == "timer":
@@ -114,8 +115,8 @@ class PathFollowerNode(Ending, LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Allow commands; zero velocity first."""
         self._supervisor.active = True
-        self._heard = False
-        self._send(_ZERO, self._now())
+        assert self._commands is not None  # configured before
+        self._commands.activated()
         self.get_logger().info("active: following as soon as there are odometry and a path")
         return super().on_activate(state)
 
@@ -140,21 +141,18 @@ class PathFollowerNode(Ending, LifecycleNode):
         return super().on_shutdown(state)
 
     def last_words(self) -> None:
-        """Publish zero velocity three times and wait, not for long, until it was delivered."""
-        if self._command_publisher is None:
-            return
-        for _ in range(_LAST_WORDS):
-            self._send(_ZERO, self._now())
-            steady.sleep(0.01)
-        self._command_publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TIMEOUT))
+        """Tell the robot to stop before the node goes, or gives it over."""
+        if self._commands is not None:
+            self._commands.last_words()
 
     def _destroy_entities(self) -> None:
         for destroy, entity in self._entities:
             destroy(entity)
         self._entities = []
         self._telemetry.destroy(self)
-        self.destroy_publisher(self._command_publisher)
-        self._command_publisher = None
+        if self._commands is not None:
+            self._commands.destroy()
+        self._commands = None
 
     # Inputs
 
@@ -166,20 +164,43 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._supervisor.odometry_received(now, str(error))
             self._update_status()
             return
-        self._supervisor.odometry_received(now)
+        problem = self._odometry_check.problem(
+            self._now(),
+            measurement.stamp,
+            measurement.pose,
+            measurement.twist,
+            measurement.child_frame,
+            self._settings.controller,
+        )
+        self._supervisor.odometry_received(now, problem)
+        if problem:
+            self._update_status()
+            return
         self._measurement = measurement
+        if self._commands is not None:
+            self._commands.frame = measurement.child_frame
         if self._path is not None and self._path_frame != measurement.frame:
-            self._refuse_path(self._wrong_frame(self._path_frame))
-            self._path, self._follower = None, None
-            self._supervisor.path_removed()
+            self._refuse_path(wrong_frame(self._path_frame, measurement.frame))
+            self._remove_path()
         if self._settings.controller.control_trigger == "odometry":
             self._control(measurement.stamp)
 
+    def _remove_path(self) -> None:
+        """Follow nothing any more."""
+        self._path, self._follower = None, None
+        self._supervisor.path_removed()
+        self._update_status()
+        self._publish_configuration()
+
     def _receive_path(self, message: PathMessage) -> None:
-        """Take a new path, or refuse it and go on with the present one."""
+        """Take a new path, or refuse it and go on with the present one; an empty one stops."""
         frame = message.header.frame_id
+        if not message.poses:
+            self._path_problem = ""
+            self._remove_path()
+            return
         if self._measurement is not None and frame != self._measurement.frame:
-            self._refuse_path(self._wrong_frame(frame))
+            self._refuse_path(wrong_frame(frame, self._measurement.frame))
             return
         try:
             path = path_of(message)
@@ -197,13 +218,6 @@ class PathFollowerNode(Ending, LifecycleNode):
         self.get_logger().info(f"new path: {kind}, {path.length:.2f} m, in frame '{frame}'")
         self._publish_configuration()
         self._telemetry.markers(self._now(), frame, path, None)
-
-    def _wrong_frame(self, frame: str) -> str:
-        odom_frame = self._measurement.frame if self._measurement else ""
-        return (
-            f"path is in frame '{frame}', but odometry in '{odom_frame}': publish the path in "
-            f"'{odom_frame}'"
-        )
 
     def _refuse_path(self, problem: str) -> None:
         self._path_problem = problem
@@ -230,44 +244,85 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._learned = None
         if self._follower is not None:
             self._follower.reset_learning()
+        self._learning_resets += 1
+        self._publish_configuration()
         response.success, response.message = True, "weights are the initial ones again"
+        return response
+
+    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._supervisor.stop()
+        if self._commands is not None:
+            self._commands.stop()
+        self._update_status()
+        response.success, response.message = True, "stopped; ~/resume goes on"
+        return response
+
+    def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Go on from where the robot is now: it may have been carried."""
+        self._supervisor.resume()
+        if self._follower is not None:
+            self._learned, self._follower = self._follower, None
+            self._restarts += 1
+            self._publish_configuration()
+        response.success, response.message = True, self._update_status().state.value
         return response
 
     # Control
 
     def _on_timer(self) -> None:
+        self._supervisor.tick(steady.monotonic())
         self._control(self._now())
 
     def _control(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
         if self._update_status().state is not State.FOLLOWING:
             return
-        if time == self._step_time:  # the same odometry again: so is the answer
-            self._send(self._last_command, time)
-            return
         assert self._measurement is not None  # there is no FOLLOWING without odometry
+        assert self._commands is not None  # nor before the node is configured
+        if time == self._step_time:  # the same odometry again: so is the answer
+            self._commands.send(self._last_command, time)
+            return
         pose = self._measurement.pose_at(time)
+        begun = steady.monotonic()
         try:
-            follower = self._follower or self._start_following(pose)
+            with self._commands.control_step():
+                follower = self._follower or self._start_following(pose)
+                output = follower.step_at(pose, time)
         except SettingsError as error:
             self._supervisor.command_refused(str(error))
             self._update_status()
             return
-        output = follower.step_at(pose, time)
-        if not np.isfinite(output.command).all():
-            follower.reset_learning()
-            self._supervisor.command_refused("the learner's command is not finite")
+        problem = self._command_problem(follower, output, steady.monotonic() - begun)
+        if problem:
+            self._supervisor.command_refused(problem)
             self._update_status()
             return
-        self._report_learning(follower.learning_problem)
         self._last_command, self._step_time = output.command, time
-        self._send(output.command, time)
-        self._telemetry.step(time, self._path_frame, output, float(follower.cost))
+        too_far = deviation(output.error, self._settings.controller)
+        if too_far:
+            self._supervisor.deviated(too_far)
+            self._update_status()
+        else:
+            self._commands.send(output.command, time)
+        if self._telemetry.learning(follower.learning_problem):
+            self._publish_diagnostics()
+        self._telemetry.step(time, self._path_frame, pose, output, float(follower.cost))
         if steady.monotonic() >= self._next_markers:
             self._next_markers = steady.monotonic() + _MARKER_PERIOD
             self._telemetry.markers(time, self._path_frame, follower.path, output)
         if not follower.path.closed and float(follower.arc_length) >= follower.path.length:
             self._supervisor.goal_reached()
+
+    def _command_problem(
+        self, follower: PathFollower, output: FollowerOutput, elapsed: float
+    ) -> str:
+        """Return why a command must not be sent, empty if it may."""
+        if not np.isfinite(output.command).all():
+            follower.reset_learning()
+            return "the learner's command is not finite; learning was reset"
+        if elapsed > self._settings.controller.odom_timeout:
+            return f"a control step took {elapsed:.2f} s"
+        return ""
 
     def _start_following(self, pose: FloatArray) -> PathFollower:
         assert self._path is not None  # there is no FOLLOWING without a path
@@ -276,15 +331,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         follower = PathFollower(self._settings, self._path, arc_length)
         if self._learned is not None:
             follower.take_over(self._learned)
-        self._follower, self._learned, self._step_time = follower, None, None
+        self._follower, self._learned = follower, None
         return follower
-
-    def _send(self, command: FloatArray, time: int) -> None:
-        if self._settings.controller.enable_stamped_cmd_vel:
-            frame = self._measurement.child_frame if self._measurement else "base_link"
-            self._command_publisher.publish(twist_stamped(time, frame, command))
-        else:
-            self._command_publisher.publish(twist_message(command))
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -293,16 +341,16 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _watch(self) -> None:
         """Look after the robot in steady time, whatever the control timer does."""
-        now = steady.monotonic()
-        active = self._supervisor.active
-        if active and not self._heard and self._command_publisher.get_subscription_count():
-            # What was said before the robot listened is lost, so the first stop starts now.
-            self._heard = True
-            self._stop_until = now + _STOP_DURATION
+        clock_time = self._now()
+        by_timer = self._settings.controller.control_trigger == "timer"
+        self._supervisor.clock_missing(by_timer and clock_time == 0)
+        if clock_time < self._clock_time and by_timer:
+            self._supervisor.command_refused("the clock went back")
+        self._clock_time = clock_time
         following = self._update_status().state is State.FOLLOWING
-        if active and not following and now < self._stop_until:
-            self._send(_ZERO, self._now())
-        if now >= self._next_diagnostics:
+        if self._commands is not None and self._supervisor.active and not following:
+            self._commands.repeat_stop()
+        if steady.monotonic() >= self._next_diagnostics:
             self._publish_diagnostics()
 
     def _update_status(self) -> Status:
@@ -311,10 +359,10 @@ class PathFollowerNode(Ending, LifecycleNode):
         status = self._supervisor.status(now)
         if status == self._shown:
             return status
-        if self._shown.state is State.FOLLOWING and self._supervisor.active:
-            self._stop_until = now + _STOP_DURATION
-            self._send(_ZERO, self._now())
-        self._shown = status
+        leaves = self._shown.state is State.FOLLOWING and self._supervisor.active
+        if leaves and self._commands is not None:
+            self._commands.stop()
+        self._shown, self._shown_since = status, self._now()
         text = ": ".join(filter(None, [status.state.value, status.cause]))
         if status.state is State.FAULT:
             self.get_logger().error(f"{text}; {status.remedy}")
@@ -325,42 +373,25 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     # Reports
 
-    def _report_learning(self, problem: str) -> None:
-        """Say when the Riccati policy takes over from the learned one, and when it hands back."""
-        if problem == self._learning_problem:
-            return
-        if problem:
-            self.get_logger().warning(
-                f"learning has gone wrong: {problem}; the Riccati policy has taken over where it "
-                "did, until learning succeeds"
-            )
-        else:
-            self.get_logger().info("learning succeeds again: the learned policy is back")
-        self._learning_problem = problem
-        self._publish_diagnostics()
-
     def _publish_diagnostics(self) -> None:
-        if self._command_publisher is None:
+        if self._commands is None:
             return
         self._next_diagnostics = steady.monotonic() + 1.0
-        values = {"version": __version__}
+        values = {"version": __version__, "since [s]": f"{self._shown_since * 1e-9:.3f}"}
         if self._follower is not None:
             values["arc_length [m]"] = f"{float(self._follower.arc_length):.3f}"
             values["cost"] = f"{float(self._follower.cost):.6g}"
-        problems = (self._path_problem, self._learning_problem)
-        self._telemetry.diagnostics(self._now(), self._shown, *problems, values)
+        self._telemetry.diagnostics(self._now(), self._shown, self._path_problem, values)
 
     def _publish_configuration(self) -> None:
-        if self._command_publisher is None:
+        if self._commands is None:
             return
-        lines = [f"version: {__version__}"]
-        if self._path is not None:
-            lines.append(f"path: {{digest: {self._path.digest()}, length: {self._path.length!r}}}")
-        lines.append("settings:")
-        lines += [
-            f"  {name}: {yaml_text(value)}" for name, value in flatten(self._settings).items()
-        ]
-        self._telemetry.configuration("\n".join(lines) + "\n")
+        after = NO_STEP if self._step_time is None else self._step_time
+        self._telemetry.configuration(
+            configuration_text(
+                self._settings, self._path, after, self._learning_resets, self._restarts
+            )
+        )
 
 
 def main() -> int:

@@ -149,6 +149,14 @@ def path_of(message: PathMessage) -> Path:
     return Path.from_points(np.array([[p.x, p.y] for p in positions]).reshape(-1, 2))
 
 
+def wrong_frame(frame: str, odom_frame: str) -> str:
+    """Return why a path in a frame cannot be followed."""
+    return (
+        f"path is in frame '{frame}', but odometry in '{odom_frame}': publish the path in "
+        f"'{odom_frame}'"
+    )
+
+
 def path_message(path: Path, frame: str, time: int, spacing: float) -> PathMessage:
     """Return a path as poses at most `spacing` [m] apart, headed along it."""
     message = PathMessage(header=make_header(time, frame))
@@ -168,10 +176,10 @@ def twist_stamped(time: int, frame: str, command: FloatArray) -> TwistStamped:
     return TwistStamped(header=make_header(time, frame), twist=twist_message(command))
 
 
-def error_message(time: int, frame: str, error: FloatArray) -> Vector3Stamped:
-    """Return e = [s, y, theta] as x, y, z of a vector."""
+def vector_message(time: int, frame: str, values: FloatArray) -> Vector3Stamped:
+    """Return e = [s, y, theta], or a pose [x, y, theta] to the last bit, as x, y, z of a vector."""
     message = Vector3Stamped(header=make_header(time, frame))
-    message.vector.x, message.vector.y, message.vector.z = (float(value) for value in error)
+    message.vector.x, message.vector.y, message.vector.z = (float(value) for value in values)
     return message
 
 

@@ -14,20 +14,22 @@ from std_msgs.msg import ColorRGBA, Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from adp_path_follower.core.follower import FollowerOutput
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.supervisor import State, Status
 from adp_path_follower.nodes.conversions import (
     array_message,
-    error_message,
     make_header,
     pose_message,
     pose_stamped,
+    vector_message,
 )
 
 EVERY_STEP = QoSProfile(depth=10)
 # For steps that follow odometry, perhaps in lock-step at the machine's pace: a recorder that joins
 # a second late, or is kept waiting that long, still gets all.
 LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+ALL_CHANGES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 _LEVELS = {
@@ -35,6 +37,7 @@ _LEVELS = {
     State.WAITING: DiagnosticStatus.WARN,
     State.FOLLOWING: DiagnosticStatus.OK,
     State.GOAL_REACHED: DiagnosticStatus.OK,
+    State.STOPPED: DiagnosticStatus.WARN,
     State.FAULT: DiagnosticStatus.ERROR,
 }
 
@@ -52,10 +55,14 @@ class Telemetry:
 
         """
         self._lossless = lossless
+        self._logger = node.get_logger()
+        self._learning_problem = ""
         self._name = node.get_fully_qualified_name()  # two robots share /diagnostics
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
-        self._configuration = node.create_publisher(String, "~/configuration", LATCHED)
+        self._configuration = node.create_publisher(String, "~/configuration", ALL_CHANGES)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Whether or not somebody listens: without it a run cannot be replayed.
+        self._pose = node.create_publisher(Vector3Stamped, "~/measured_pose", LOSSLESS)
 
         def scalar(value: Any) -> Float64:
             return Float64(data=float(value))
@@ -68,7 +75,7 @@ class Telemetry:
             ),
             "~/tracking_error": (
                 Vector3Stamped,
-                lambda t, frame, out, _: error_message(t, frame, out.error),
+                lambda t, frame, out, _: vector_message(t, frame, out.error),
             ),
             "~/critic_weights": (
                 Float64MultiArray,
@@ -89,12 +96,15 @@ class Telemetry:
 
     def destroy(self, node: Node) -> None:
         """Destroy the publishers."""
-        publishers = [publisher for publisher, _ in self._steps]
-        for publisher in (self._markers, self._configuration, self._diagnostics, *publishers):
+        others = (self._markers, self._configuration, self._diagnostics, self._pose)
+        for publisher in (*others, *(publisher for publisher, _ in self._steps)):
             node.destroy_publisher(publisher)
 
-    def step(self, time: int, frame: str, output: FollowerOutput, cost: float) -> None:
-        """Publish what one control step at a time [ns] found; cost is J so far."""
+    def step(
+        self, time: int, frame: str, pose: FloatArray, output: FollowerOutput, cost: float
+    ) -> None:
+        """Publish what one control step at a time [ns] went by and found; cost is J so far."""
+        self._pose.publish(vector_message(time, frame, pose))
         for publisher, make in self._steps:
             if self._lossless or publisher.get_subscription_count():
                 publisher.publish(make(time, frame, output, cost))
@@ -120,15 +130,37 @@ class Telemetry:
         """Publish what this run is: settings, version and path, as YAML."""
         self._configuration.publish(String(data=text))
 
+    def learning(self, problem: str) -> bool:
+        """Say when the Riccati policy takes over from the learned one, and when it hands back.
+
+        Args:
+            problem: Why the Riccati policy drives, empty if it does not.
+
+        Returns:
+            Whether that has changed.
+
+        """
+        if problem == self._learning_problem:
+            return False
+        self._learning_problem = problem
+        if problem:
+            self._logger.warning(
+                f"learning has gone wrong: {problem}; the Riccati policy has taken over where it "
+                "did, until learning succeeds"
+            )
+        else:
+            self._logger.info("learning succeeds again: the learned policy is back")
+        return True
+
     def diagnostics(
         self,
         time: int,
         status: Status,
         path_problem: str,
-        learning_problem: str,
         values: dict[str, str],
     ) -> None:
         """Publish state and cause, whether the last path was refused, and how learning goes."""
+        learning_problem = self._learning_problem
         level = max(
             _LEVELS[status.state],
             DiagnosticStatus.ERROR if path_problem else DiagnosticStatus.OK,

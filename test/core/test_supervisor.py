@@ -1,15 +1,18 @@
 """The supervisor against what its history allows: the robot moves only if nothing forbids it."""
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.supervisor import State, Supervisor
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.supervisor import State, Supervisor, deviation
 
 TIMEOUT = 0.5
 EVENTS = [
     *("activate", "deactivate", "path", "no path", "odometry", "bad odometry", "wait"),
-    *("long wait", "goal", "refused"),
+    *("long wait", "goal", "refused", "tick", "no clock", "clock", "stop", "resume", "too far"),
 ]
 
 
@@ -17,6 +20,7 @@ def played(events):
     """Return the supervisor after these events, the time, and what the history amounts to."""
     supervisor, now = Supervisor(TIMEOUT), 100.0
     facts = {"active": False, "path": False, "odometry": None, "problem": "", "goal": False}
+    facts.update(tick=None, clock=True, stopped=False, deviated=False)
     refused = False
     for event in events:
         if event in ("activate", "deactivate"):
@@ -37,6 +41,21 @@ def played(events):
         elif event == "goal":
             supervisor.goal_reached()
             facts["goal"] = True
+        elif event == "tick":
+            supervisor.tick(now)
+            facts["tick"] = now
+        elif event in ("no clock", "clock"):
+            supervisor.clock_missing(event == "no clock")
+            facts["clock"] = event == "clock"
+        elif event == "stop":
+            supervisor.stop()
+            facts["stopped"] = True
+        elif event == "resume":
+            supervisor.resume()
+            facts.update(stopped=False, deviated=False)
+        elif event == "too far":
+            supervisor.deviated("cross-track error is 2 m")
+            facts["deviated"] = True
         else:
             supervisor.command_refused("command is not finite")
             refused = True
@@ -52,7 +71,9 @@ def test_the_robot_moves_only_if_nothing_forbids_it(events, ready):
     odometry = facts["odometry"]
     stale = odometry is not None and now - odometry > TIMEOUT
     sound = odometry is not None and not stale and not facts["problem"] and not facts["refused"]
-    may_move = facts["active"] and facts["path"] and sound and not facts["goal"]
+    ticking = facts["tick"] is None or now - facts["tick"] <= TIMEOUT
+    allowed = facts["clock"] and not facts["stopped"] and not facts["deviated"] and ticking
+    may_move = facts["active"] and facts["path"] and sound and not facts["goal"] and allowed
     assert (status.state is State.FOLLOWING) == may_move
     assert bool(status.cause) == (status.state is not State.FOLLOWING)
     assert bool(status.remedy) == (status.state is not State.FOLLOWING)
@@ -78,6 +99,14 @@ READY = ["activate", "path", "odometry"]
         ([*READY, "goal", "path"], State.FOLLOWING, ""),
         ([*READY, "goal", "long wait"], State.FAULT, "0.5 s"),
         ([*READY, "no path"], State.WAITING, "no path"),
+        ([*READY, "no clock"], State.WAITING, "/clock"),
+        ([*READY, "no clock", "clock"], State.FOLLOWING, ""),
+        ([*READY, "tick", "long wait", "odometry"], State.FAULT, "no control step"),
+        ([*READY, "tick", "long wait", "odometry", "tick"], State.FOLLOWING, ""),
+        ([*READY, "stop", "odometry", "path"], State.STOPPED, "~/stop"),
+        ([*READY, "stop", "resume"], State.FOLLOWING, ""),
+        ([*READY, "too far", "odometry", "path"], State.FAULT, "2 m"),
+        ([*READY, "too far", "resume"], State.FOLLOWING, ""),
         ([*READY, "deactivate"], State.INACTIVE, "activated"),
     ],
 )
@@ -86,6 +115,20 @@ def test_states_and_their_causes(events, state, cause):
     status = supervisor.status(now)
     assert status.state is state
     assert cause in status.cause
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        ((9.0, 0.4, 0.9), ""),  # s is how far the target is ahead, not off the path
+        ((0.0, -0.6, 0.0), "cross-track error 0.600 m is above max_cross_track_error 0.5"),
+        ((0.0, 0.0, -1.5), "heading error 1.500 rad is above max_heading_error 1"),
+    ],
+)
+def test_how_far_from_the_path_is_too_far(error, text):
+    limits = build(Settings, {"max_cross_track_error": 0.5, "max_heading_error": 1.0})
+    assert deviation(np.array(error), limits.controller) == text
+    assert deviation(np.array(error), build(Settings, {}).controller) == ""
 
 
 def test_the_timeout_can_be_changed():

@@ -85,12 +85,19 @@ class Peer:
         request.parameters = [Parameter(name, value=value).to_parameter_msg()]
         return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
 
-    def send_odometry(self, pose: tuple[float, float, float], **changes: float) -> None:
-        """Publish odometry of now; `changes` replaces fields like x or qw, to break them."""
-        time_now = self.node.get_clock().now().nanoseconds
-        message = odometry_message(time_now, np.array(pose), np.zeros(2), FRAMES)
+    def send_odometry(self, pose: tuple[float, float, float], **changes: Any) -> None:
+        """Publish odometry of now.
+
+        `changes` replaces fields like x, qw or child_frame_id, to break them; `later` moves the
+        stamp [s], and `stamp` replaces it.
+        """
+        time = changes.pop("stamp", 1e-9 * self.node.get_clock().now().nanoseconds)
+        stamp = round(1e9 * (time + changes.pop("later", 0.0)))
+        message = odometry_message(stamp, np.array(pose), np.zeros(2), FRAMES)
         for name, value in changes.items():
-            if name.startswith("q"):
+            if name == "child_frame_id":
+                message.child_frame_id = value
+            elif name.startswith("q"):
                 setattr(message.pose.pose.orientation, name[1:], value)
             else:
                 setattr(message.pose.pose.position, name, value)
@@ -156,7 +163,7 @@ class Drive:
         self.controller = start("controller", **parameters)
         peer.until_matched(peer.odometry, peer.path)
         peer.node.create_timer(0.02, self._send)
-        self.odometry: dict[str, float] | None = {}
+        self.odometry: dict[str, Any] | None = {}
         peer.send_path()
         self.until_moving()
 

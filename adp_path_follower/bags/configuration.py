@@ -1,0 +1,97 @@
+"""What a controller says it runs with, as text in a bag: written by the node, read by analyses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import yaml
+
+from adp_path_follower import __version__
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.files import parse_yaml
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.schema import build, flatten, yaml_text
+from adp_path_follower.core.settings import Settings
+
+NO_STEP = -1
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """What a controller runs with from some control step on.
+
+    Attributes:
+        values: Setting -> value, as far as the bag says.
+        path_digest: `Path.digest` of the path that is followed, empty without one.
+        after_step: Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
+        learning_resets: How often learning has been reset since the node's start.
+        restarts: How often following has begun anew from where the robot was then.
+
+    """
+
+    values: Mapping[str, object]
+    path_digest: str = ""
+    after_step: int = NO_STEP
+    learning_resets: int = 0
+    restarts: int = 0
+
+    @property
+    def settings(self) -> Settings:
+        """Return the settings.
+
+        Raises:
+            SettingsError: They are none of this version.
+
+        """
+        return build(Settings, self.values)
+
+
+def configuration_text(
+    settings: Settings,
+    path: Path | None,
+    after_step: int = NO_STEP,
+    learning_resets: int = 0,
+    restarts: int = 0,
+) -> str:
+    """Return the text that says what a controller runs with, as YAML."""
+    lines = [f"version: {__version__}"]
+    if path is not None:
+        lines.append(f"path: {{digest: '{path.digest()}', length: {path.length!r}}}")
+    lines += [f"after_step: {after_step}", f"learning_resets: {learning_resets}"]
+    lines += [f"restarts: {restarts}", "settings:"]
+    lines += [f"  {name}: {yaml_text(value)}" for name, value in flatten(settings).items()]
+    return "\n".join(lines) + "\n"
+
+
+def parse_configuration(text: str) -> Configuration:
+    """Return what a text of a bag says.
+
+    Raises:
+        FileError: It is none that a controller wrote.
+
+    """
+    try:
+        content = parse_yaml(text)
+    except yaml.YAMLError:
+        content = None
+    values = content.get("settings") if isinstance(content, dict) else None
+    if (
+        not isinstance(content, dict)
+        or not isinstance(values, dict)
+        or not all(isinstance(name, str) for name in values)
+    ):
+        raise FileError("the bag has no sound path_follower/configuration: it names no settings")
+    path = content.get("path")
+
+    def whole(name: str, default: int) -> int:
+        value = content.get(name)
+        return value if isinstance(value, int) else default
+
+    return Configuration(
+        values=values,
+        path_digest=str(path.get("digest", "")) if isinstance(path, dict) else "",
+        after_step=whole("after_step", NO_STEP),
+        learning_resets=whole("learning_resets", 0),
+        restarts=whole("restarts", 0),
+    )

@@ -1,0 +1,170 @@
+"""Play the odometry and the path of a bag to a live controller, with the bag's clock."""
+
+from __future__ import annotations
+
+import time as steady
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
+
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.nodes.conversions import stamp_nanoseconds
+
+_PATIENCE = 30.0  # [s] for a controller to appear
+_NANOSECONDS = 1_000_000_000
+_CLOCK_PERIOD = 10_000_000  # [ns] between two messages on /clock, at most
+_DELIVERY_TIMEOUT = 1.0  # [s]
+_SETTLING = 5.0  # [s] for both sides to find each other
+
+_TYPES = {"odom": Odometry, "path": PathMessage}
+
+
+def republish(
+    bag: Path,
+    topics: Mapping[str, str],
+    rate: float,
+    progress: Callable[[float], None],
+) -> int:
+    """Publish /clock, odometry and path as they were recorded; return how many messages.
+
+    Time is that of the odometry's stamps. Ends early, but in order, on Ctrl-C.
+
+    Args:
+        bag: The bag.
+        topics: "odom" and "path" -> their topics in it; they are published under "odom" and "path".
+        rate: Seconds of the bag in one second.
+        progress: Called with the fraction done.
+
+    Raises:
+        AdpError: No controller listens.
+
+    """
+    with Reader(bag) as reader:
+        messages = list(_messages(reader, topics))
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("adp_replay")
+    try:
+        return _Player(node).play(messages, rate, progress)
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+class _Player:
+    """Publishers of what a controller listens to."""
+
+    def __init__(self, node: Node) -> None:
+        """Create them."""
+        self._node = node
+        self._answered = False
+        node.create_subscription(TwistStamped, "cmd_vel", self._take_command, 10)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._clock = node.create_publisher(Clock, "/clock", 10)
+        self._publishers = {
+            "odom": node.create_publisher(Odometry, "odom", 100),
+            "path": node.create_publisher(PathMessage, "path", latched),
+        }
+
+    def play(
+        self,
+        messages: list[tuple[int, str, Any]],
+        rate: float,
+        progress: Callable[[float], None],
+    ) -> int:
+        """Publish messages (time [ns], key, message) in their time; return how many."""
+        count = len(messages)
+        self._wait_for_controller()
+        first, last = messages[0][0], messages[-1][0]
+        self._begin(messages)
+        begun, clock = steady.monotonic(), first - _CLOCK_PERIOD
+        for time, key, message in messages:
+            while clock < time:
+                clock = min(time, clock + _CLOCK_PERIOD)
+                ahead = begun + (clock - first) / (_NANOSECONDS * rate) - steady.monotonic()
+                if ahead > 0.0:
+                    steady.sleep(ahead)
+                self._tell_time(clock)
+            self._publish(key, message)
+            progress((time - first) / max(1, last - first))
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TIMEOUT))
+        return count
+
+    def _begin(self, messages: list[tuple[int, str, Any]]) -> None:
+        """Repeat the first odometry until it is answered, or for a while.
+
+        Controllers take odometry as it comes: what is said before both sides have found each other
+        is lost. One that waits for its timer answers only when time goes on.
+        """
+        for _, key, message in messages[:1]:
+            self._publish(key, message)
+        time, first = next((time, message) for time, key, message in messages if key == "odom")
+        self._tell_time(time)
+        until = steady.monotonic() + _SETTLING
+        while steady.monotonic() < until and not self._answered:
+            self._publish("odom", first)
+            rclpy.spin_once(self._node, timeout_sec=0.05)
+
+    def _take_command(self, message: TwistStamped) -> None:
+        linear, angular = message.twist.linear.x, message.twist.angular.z
+        self._answered = self._answered or linear != 0.0 or angular != 0.0
+
+    def _publish(self, key: str, message: Any) -> None:
+        self._publishers[key].publish(message)
+        if key == "path":  # heard before the odometry that it is for
+            self._publishers[key].wait_for_all_acked(Duration(seconds=_DELIVERY_TIMEOUT))
+
+    def _tell_time(self, time: int) -> None:
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(time, _NANOSECONDS)
+        self._clock.publish(message)
+
+    def _wait_for_controller(self) -> None:
+        deadline = steady.monotonic() + _PATIENCE
+        while not all(item.get_subscription_count() for item in self._publishers.values()):
+            if steady.monotonic() > deadline:
+                raise AdpError(
+                    f"nobody has listened to {self._publishers['odom'].topic_name} and "
+                    f"{self._publishers['path'].topic_name} for {_PATIENCE:g} s: start a "
+                    "controller, as with: ros2 run adp_path_follower controller --ros-args -p "
+                    "use_sim_time:=true"
+                )
+            rclpy.spin_once(self._node, timeout_sec=0.1)
+
+
+def _messages(reader: Reader, topics: Mapping[str, str]) -> Iterator[tuple[int, str, Any]]:
+    """Yield the messages by the clock of the odometry, a path at the latest with the odometry."""
+    keys = {topic: key for key, topic in topics.items() if key in _TYPES}
+    found = [
+        (arrival, keys[item.topic], deserialize_message(bytes(raw), _TYPES[keys[item.topic]]))
+        for item, arrival, raw in reader.messages(
+            [item for item in reader.connections if item.topic in keys]
+        )
+    ]
+    odometry = [(arrival, message) for arrival, key, message in found if key == "odom"]
+    arrivals = np.array([arrival for arrival, _ in odometry])
+    stamps = np.array([stamp_nanoseconds(message.header) for _, message in odometry])
+    timed = []
+    for arrival, key, message in found:
+        if key == "odom":
+            timed.append((stamp_nanoseconds(message.header), key, message))
+        else:
+            place = min(int(np.searchsorted(arrivals, arrival)), len(stamps) - 1)
+            timed.append((int(stamps[place]), key, message))
+    # At the same time the path first, for it is what the odometry is answered by.
+    yield from sorted(timed, key=lambda item: (item[0], item[1] == "odom"))

@@ -1,0 +1,81 @@
+"""Which odometry cannot follow the message before, against motions that a robot can make."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adp_path_follower.core.geometry import advance_pose, wrap_angle
+from adp_path_follower.core.odometry_check import OdometryCheck
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+
+CONTROLLER = build(Settings, {"odom_timeout": 0.5, "odom_jump_tolerance": 0.2}).controller
+SECOND = 1_000_000_000
+STILL = np.zeros(2)
+
+
+def told(check, stamp, pose, twist=STILL, frame="base_link", now=0.0, controller=CONTROLLER):
+    """Return the problem of a message at a time [s]."""
+    return check.problem(
+        *(round(now * SECOND), round(stamp * SECOND), np.array(pose, float), np.array(twist)),
+        *(frame, controller),
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    period=st.floats(0.001, 0.4),
+    fastest=st.floats(0.0, 5.0),
+    noise=st.floats(0.0, 0.02),
+)
+def test_what_a_robot_can_do_is_no_fault(seed, period, fastest, noise):
+    random, check, pose = np.random.default_rng(seed), OdometryCheck(), np.zeros(3)
+    for step in range(30):
+        twist = random.uniform(-fastest, fastest, 2)
+        measured = pose + random.uniform(-noise, noise, 3)
+        measured[2] = wrap_angle(measured[2])
+        assert told(check, 10.0 + step * period, measured, twist) == ""
+        pose = advance_pose(pose, twist[0], twist[1], period)
+
+
+@pytest.mark.parametrize(
+    ("second", "text"),
+    [
+        ({"stamp": 9.99, "pose": (0, 0, 0)}, "stamps went back by 0.010 s"),
+        ({"stamp": 10.02, "pose": (0.3, 0, 0)}, "jumped by 0.30 m in 0.020 s"),
+        ({"stamp": 10.02, "pose": (0, 0, 2.0)}, "turned by 2.00 rad in 0.020 s"),
+        ({"stamp": 10.02, "pose": (0, 0, 0), "frame": "base"}, "of 'base' now"),
+        ({"stamp": 10.02, "pose": (0, 0, 0), "now": 11.0}, "0.98 s old by its stamp"),
+        ({"stamp": 10.02, "pose": (0.3, 0, 0), "twist": (6.0, 0.0)}, ""),
+        ({"stamp": 10.0, "pose": (0, 0, 0)}, ""),
+        ({"stamp": 11.0, "pose": (50, 0, 3)}, ""),  # after a gap anything may have happened
+        ({"stamp": 10.02, "pose": (0, 0, 0), "now": 10.03}, ""),
+    ],
+)
+def test_what_cannot_follow_is_named(second, text):
+    check = OdometryCheck()
+    assert told(check, 10.0, (0, 0, 0)) == ""
+    problem = told(check, **second)
+    assert text in problem
+    assert bool(problem) == bool(text)
+
+
+def test_a_jump_clears_itself_and_another_robot_does_not():
+    check = OdometryCheck()
+    told(check, 10.0, (0, 0, 0))
+    assert told(check, 10.1, (5, 0, 0))
+    assert told(check, 10.2, (5, 0, 0)) == ""
+    assert told(check, 10.3, (5, 0, 0), frame="other")
+    assert told(check, 10.4, (5, 0, 0), frame="other")
+    assert told(check, 10.5, (5, 0, 0)) == ""
+
+
+def test_any_jump_can_be_allowed():
+    check = OdometryCheck()
+    allowing = build(Settings, {"odom_jump_tolerance": math.inf}).controller
+    told(check, 10.0, (0, 0, 0), controller=allowing)
+    assert told(check, 10.1, (500, 0, 3), controller=allowing) == ""

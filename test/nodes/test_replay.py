@@ -1,0 +1,187 @@
+"""`adp replay` of bags that real nodes recorded, in lock-step and by the controller's own timer."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Twist, TwistStamped
+from std_srvs.srv import Trigger
+
+from adp_path_follower.bags.configuration import configuration_text, parse_configuration
+from adp_path_follower.bags.reader import read_run
+from adp_path_follower.bags.replay import replay
+from adp_path_follower.bags.rerun import rerun
+from adp_path_follower.core.parameter_file import load_settings
+from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.nodes.closed_loop import run_closed_loop
+from adp_path_follower.simulation import PAPER_START
+
+pytestmark = pytest.mark.nodes
+
+DURATION = 5.0  # [s] simulated
+STEPS = round(100 * DURATION) + 1
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> Path:
+    """Return the bag of a run in lock-step with the recommended settings."""
+    return run_closed_loop(
+        load_settings(Settings, "path_follower"),
+        lissajous(),
+        "lissajous",
+        np.array(PAPER_START),
+        DURATION,
+        tmp_path_factory.mktemp("run"),
+        lambda progress: None,
+    )
+
+
+def adp_replay(folder: Path, *arguments: str, **environment: str):
+    return subprocess.run(
+        [sys.executable, "-m", "adp_path_follower.cli.main", "replay", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=folder,
+        env={**os.environ, **environment},
+    )
+
+
+def test_the_same_parameters_give_the_same_commands_and_weights(bag, tmp_path):
+    done = adp_replay(tmp_path, str(bag))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        f"{STEPS} of {STEPS} commands are identical to the last bit",
+        f"{2 * STEPS} of {2 * STEPS} sets of weights are, too",
+    ]
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_parameters_give_a_bag_and_a_report(bag, tmp_path):
+    table, figure, out = tmp_path / "both.csv", tmp_path / "both.png", tmp_path / "out"
+    done = adp_replay(
+        *(tmp_path, str(bag), "--set", "max_angular_vel=0.2", "--out", str(out)),
+        *("--csv", str(table), "--figure", str(figure)),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "first difference after" in done.stdout
+    _, _, recorded, _, replayed = np.loadtxt(table, delimiter=",", skiprows=1).T
+    assert np.abs(recorded).max() > 0.2
+    assert np.abs(replayed).max() == pytest.approx(0.2)
+    assert figure.stat().st_size > 5000
+    assert (out / "report.html").stat().st_size > 1_000_000
+    old, new = read_run(bag), read_run(out / "bag_replayed")
+    assert np.array_equal(new.series["odom"].values, old.series["odom"].values)
+    assert np.array_equal(new.series["cmd_vel"].values[:, 1], replayed)
+    # What was written is a run like any other, and replays to the last bit itself.
+    again = replay(new)
+    assert again.identical.all()
+    assert again.identical_weights(new).all()
+    assert again.follower.settings.limits.max_angular_vel == 0.2
+
+
+def test_in_a_closed_loop_the_motion_is_another(bag, tmp_path):
+    done = adp_replay(
+        tmp_path, str(bag), "--set", "desired_speed=0.3", "--closed-loop", "--out", "out"
+    )
+    assert done.returncode == 0, done.stderr
+    old, new = read_run(bag), read_run(tmp_path / "out" / "bag_replayed")
+    first, second = old.series["odom"].values, new.series["odom"].values
+    np.testing.assert_allclose(second[0, :3], first[0, :3], atol=1e-12)
+    # Its last speed is v_des, but for what the curvature and the small errors ask for.
+    assert second[-1, 3] == pytest.approx(0.3, abs=0.03)
+    assert first[-1, 3] == pytest.approx(0.5, abs=0.05)
+
+
+def test_in_a_closed_loop_the_same_parameters_give_the_same_run(bag):
+    run = read_run(bag)
+    found, velocity = rerun(run)
+    assert len(found.outputs) == STEPS
+    # The same but for the heading, which odometry carries as a quaternion.
+    _, first = np.unique(run.series["odom"].stamp, return_index=True)
+    odometry = run.series["odom"].values[first]
+    np.testing.assert_allclose(found.pose, odometry[:, :3], atol=1e-9)
+    np.testing.assert_allclose(velocity, odometry[:, 3:], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [TwistStamped, Twist])
+def test_a_run_by_timer_replays_through_all_that_changes(peer, start, tmp_path, kind):
+    """Another path, other parameters and a reset of learning, all while the robot drives."""
+    commands = peer.listen(kind, "cmd_vel")
+    stamped = kind is TwistStamped
+    controller = start("controller", enable_stamped_cmd_vel=stamped)
+    recorder = start("recorder", output=str(tmp_path / "bag"))
+    start("sim_unicycle", x=-0.3, y=0.2)
+    publisher = start("path_publisher", path="line")
+
+    def drive_on() -> None:
+        count = len(commands)
+        peer.until(lambda: len(commands) > count + 60, "sixty commands")
+
+    peer.until(lambda: "recording /cmd_vel" in recorder.output(), "the recorder")
+    drive_on()
+    assert peer.set_parameter("path_follower", "desired_speed", 0.4).successful
+    drive_on()
+    assert peer.set_parameter("path_publisher", "path", "circle:0.4").successful
+    drive_on()
+    assert peer.call(Trigger, "path_follower/reset_learning").success
+    drive_on()
+    for node in (publisher, controller, recorder):
+        node.stop()
+    run = read_run(tmp_path / "bag")
+    assert len(run.paths) == 2
+    changes = [parse_configuration(text) for _, text in run.configurations]
+    assert [change.learning_resets for change in changes] == [0, 0, 0, 1]
+    assert [change.values["desired_speed"] for change in changes] == [0.5, 0.4, 0.4, 0.4]
+    found = replay(run)
+    assert found.answered.sum() > 200
+    assert found.identical[found.answered].all()
+    weights = found.identical_weights(run)
+    assert weights is not None
+    assert weights.all()
+    # Not trivially so: without one of the changes it is another run.
+    unchanged = replay(run, changes[0].settings)
+    assert not unchanged.identical[unchanged.answered].all()
+
+
+def test_a_live_controller_answers_a_bag_as_it_did_in_the_run(bag, peer, start, domain, tmp_path):
+    controller = start(
+        "controller", use_sim_time=True, control_trigger="odometry", path_start="beginning"
+    )
+    recorder = start("recorder", output=str(tmp_path / "bag"), use_sim_time=True)
+    done = adp_replay(tmp_path, str(bag), "--republish", "--rate", "1", ROS_DOMAIN_ID=str(domain))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("played ")
+    for node in (controller, recorder):
+        node.stop()
+    old, new = read_run(bag), replay(read_run(tmp_path / "bag"))
+    assert new.identical.all()
+    stamps, first = np.unique(old.series["cmd_vel"].stamp, return_index=True)
+    _, mine, theirs = np.intersect1d(stamps, new.stamp, return_indices=True)
+    # Odometry is taken as it comes: a busy machine may lose some, which changes little later.
+    assert len(mine) > 50
+    expected = old.series["cmd_vel"].values[first[mine]]
+    np.testing.assert_allclose(new.recorded[theirs][-20:], expected[-20:], atol=0.02)
+
+
+def test_nobody_to_play_to_and_nothing_to_play_are_one_sentence(bag, tmp_path):
+    done = adp_replay(tmp_path, str(tmp_path / "none"))
+    assert done.returncode == 2
+    assert done.stderr == f"adp: bag {tmp_path / 'none'} does not exist\n"
+    done = adp_replay(tmp_path, str(bag), "--closed-loop", "--csv", "both.csv")
+    assert done.returncode == 2
+    assert "not --closed-loop" in done.stderr
+
+
+def test_what_a_configuration_says_is_read_again():
+    settings, path = load_settings(Settings, "path_follower"), lissajous()
+    found = parse_configuration(configuration_text(settings, path, 12, 3))
+    assert found.settings == settings
+    assert (found.path_digest, found.after_step) == (path.digest(), 12)
+    assert found.learning_resets == 3

@@ -1,0 +1,179 @@
+"""What stops the robot, over real DDS with real processes, and what lets it go on."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from conftest import Drive, Peer, is_zero
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Path as PathMessage
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+pytestmark = pytest.mark.nodes
+
+
+def silent_after_stop(drive: Drive) -> bool:
+    """Return whether the robot is told to stop, and then left to others."""
+    drive.until_stopped()
+    drive.peer.spin(1.0)
+    count = len(drive.commands)
+    drive.peer.spin(0.5)
+    return len(drive.commands) == count and all(map(is_zero, drive.commands[-3:]))
+
+
+@pytest.mark.parametrize(
+    ("broken", "cause"),
+    [
+        ({"later": -1.0}, "old by its stamp: are the clocks synchronised?"),
+        ({"child_frame_id": "other"}, "odometry is of 'other' now, and was of 'base_link'"),
+    ],
+)
+def test_odometry_that_stays_wrong_stops_the_robot_until_it_is_right(drive, broken, cause):
+    drive.odometry = broken
+    assert silent_after_stop(drive)
+    drive.until_diagnosed(cause)
+    drive.odometry = {}
+    drive.until_moving()
+
+
+@pytest.mark.parametrize(
+    ("broken", "cause"),
+    [
+        ({"x": 3.0}, "odometry jumped by 3.00 m"),
+        ({"qz": 1.0, "qw": 0.0}, "odometry turned by"),
+        ({"later": -0.3}, "odometry stamps went back by"),
+    ],
+)
+def test_one_message_that_cannot_be_is_a_stop_and_the_robot_goes_on(drive, broken, cause):
+    seen = len(drive.commands)
+    drive.odometry = None
+    drive.peer.spin(0.1)
+    drive.peer.send_odometry((0.0, 0.1, 0.0), **broken)
+    drive.until_diagnosed(cause)
+    drive.peer.until(lambda: any(map(is_zero, drive.commands[seen:])), "a stop")
+    drive.odometry = {}
+    drive.until_moving()
+
+
+def test_stop_and_resume(drive):
+    assert drive.peer.call(Trigger, "path_follower/stop").success
+    assert silent_after_stop(drive)
+    drive.until_diagnosed("stopped: ~/stop was called", level=b"\x01")
+    answer = drive.peer.call(Trigger, "path_follower/resume")
+    assert (answer.success, answer.message) == (True, "following")
+    drive.until_moving()
+
+
+def test_an_empty_path_stops_and_the_next_one_goes_on(drive):
+    drive.peer.path.publish(PathMessage(header=Header(frame_id="odom")))
+    assert silent_after_stop(drive)
+    drive.until_diagnosed("waiting: no path", level=b"\x01")
+    drive.peer.send_path()
+    drive.until_moving()
+
+
+def test_too_far_from_the_path_is_a_stop_until_resume(drive):
+    peer = drive.peer
+    assert peer.set_parameter("path_follower", "max_cross_track_error", 0.05).successful
+    assert silent_after_stop(drive)
+    drive.until_diagnosed("above max_cross_track_error 0.05")
+    # Still too far: it stops again.
+    peer.call(Trigger, "path_follower/resume")
+    peer.spin(0.5)
+    assert silent_after_stop(drive)
+    drive.odometry = {"y": 0.02}
+    peer.spin(0.5)
+    assert silent_after_stop(drive)
+    peer.call(Trigger, "path_follower/resume")
+    drive.until_moving()
+
+
+class SimulatedTime:
+    """A clock of the test, and odometry by it."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.publisher = peer.node.create_publisher(Clock, "/clock", 10)
+        self.time, self.runs, self._peer = 5.0, True, peer
+        peer.node.create_timer(0.01, self._tick)
+
+    def _tick(self) -> None:
+        if self.runs:
+            self.time += 0.01
+            message = Clock()
+            message.clock.sec = int(self.time)
+            message.clock.nanosec = int(1e9 * (self.time % 1.0))
+            self.publisher.publish(message)
+        self._peer.send_odometry((0.0, 0.1, 0.0), stamp=self.time)
+
+
+def test_a_clock_that_does_not_start_stands_still_or_jumps_back(peer, start):
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    node = start("controller", use_sim_time=True)
+    peer.until(lambda: "waiting: no time on /clock" in node.output(), "the wait for the clock")
+    peer.send_path()
+    clock = SimulatedTime(peer)
+
+    def until_moving() -> None:
+        commands.clear()
+        peer.until(lambda: commands and not is_zero(commands[-1]), "motion")
+
+    def until_stopped(cause: str) -> None:
+        peer.until(lambda: cause in node.output(), cause)
+        peer.until(lambda: is_zero(commands[-1]), "zero velocity")
+
+    until_moving()
+    clock.runs = False
+    until_stopped("no control step for more than 0.5 s")
+    clock.runs = True
+    until_moving()
+    clock.time = 2.0
+    until_stopped("went back")
+    until_moving()
+
+
+HANGING_CONTROLLER = """
+import sys, time
+from adp_path_follower.nodes import controller
+
+step_at, steps = controller.PathFollower.step_at, []
+
+def hanging(self, pose, stamp):
+    steps.append(stamp)
+    if len(steps) == 50:
+        time.sleep(3.0)
+    return step_at(self, pose, stamp)
+
+controller.PathFollower.step_at = hanging
+sys.exit(controller.main())
+"""
+
+
+def test_a_learner_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_path):
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    log = tmp_path / "hanging.log"
+    with (
+        log.open("wb") as output,
+        subprocess.Popen(
+            [sys.executable, "-c", HANGING_CONTROLLER],
+            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        ) as process,
+    ):
+        try:
+            peer.until_matched(peer.odometry, peer.path)
+            peer.send_path()
+            peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+            peer.until(lambda: commands and not is_zero(commands[-1]), "motion")
+            peer.until(lambda: is_zero(commands[-1]), "zero velocity while it hangs")
+            assert "fault: no" not in log.read_text()  # it hangs still, and cannot say so
+            peer.until(lambda: "fault: no" in log.read_text(), "its end")
+            commands.clear()
+            peer.until(lambda: commands and not is_zero(commands[-1]), "motion again")
+        finally:
+            process.kill()
