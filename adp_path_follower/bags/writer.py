@@ -1,56 +1,54 @@
 """Write rosbag2 bags (MCAP) that survive the end of the writing process at any moment.
 
-Messages are not gathered in chunks, so everything up to the last `flush` can be read even if the
-process was killed; `close` adds index, statistics and the final metadata.yaml. A bag that is made
-from another one has chunks instead: it can be made again, and chunks bring an index of messages.
+Everything up to the last `flush` can be read even if the process was killed: without compression
+messages are not gathered in chunks, with it each flush closes the chunk. `close` adds index,
+statistics and the final metadata.yaml.
 """
 
 from __future__ import annotations
 
+import contextlib
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
-from mcap.writer import CompressionType, Writer
-from rosbags.typesys import Stores, get_typestore
 
+from adp_path_follower.bags.bag_file import (
+    RECORD_OVERHEAD,
+    BagFile,
+    FileFormat,
+    TopicDefinition,
+)
+from adp_path_follower.bags.installed_types import UnknownTypeError, type_text
+from adp_path_follower.bags.metadata import bag_information, write_metadata
 from adp_path_follower.core.errors import FileError
 
-_METADATA_VERSION = 9  # rosbag2 of ROS 2 Jazzy
-_LIBRARY = "adp_path_follower"
+__all__ = ["BagExistsError", "BagWriter", "Limits", "TopicDefinition", "UnknownTypeError"]
+
 _MOST_TOPICS = 2**16 - 1
+_RESERVE = "reserve.tmp"
+_RESERVE_BYTES = 1024 * 1024  # for messages in memory, index and metadata.yaml on a full disk
 
 
-class UnknownTypeError(FileError):
-    """Report a message type whose definition is not known."""
+class BagExistsError(FileError):
+    """Report that a bag cannot be made, as something of its name exists."""
 
 
 @dataclass(frozen=True)
-class TopicDefinition:
-    """A topic as a bag describes it.
+class Limits:
+    """When a bag goes on in another file; 0 is never.
 
     Attributes:
-        name: The topic.
-        type_name: Its message type.
-        schema_encoding: What the definition of the type is written in, as ros2msg.
-        schema: The definition.
-        type_hash: Hash of the type (RIHS01), empty if it is not known.
-        qos_profiles: QoS profiles of its publishers.
-        message_encoding: How messages are serialised.
-        metadata: What the channel says beside.
+        duration: Time [ns] between the first and the last message of a file.
+        size: Length [bytes] of a file without its index.
 
     """
 
-    name: str
-    type_name: str
-    schema_encoding: str
-    schema: bytes
-    type_hash: str = ""
-    qos_profiles: Sequence[dict[str, Any]] = ()
-    message_encoding: str = "cdr"
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    duration: int = 0
+    size: int = 0
 
 
 @dataclass
@@ -68,6 +66,9 @@ class BagWriter:
         custom_data: Mapping[str, str] | None = None,
         *,
         chunked: bool = False,
+        compression: str = "none",
+        limits: Limits | None = None,
+        background: bool = False,
         information: Mapping[str, str] | None = None,
     ) -> None:
         """Create the bag's directory and file.
@@ -75,8 +76,12 @@ class BagWriter:
         Args:
             directory: The bag: a directory that must not exist yet.
             custom_data: What metadata.yaml shall say beside the usual.
-            chunked: Gather messages in chunks, with an index and checksums; they are lost if the
-                process is killed.
+            chunked: Gather messages in chunks, with an index and checksums; those in the chunk that
+                is open are lost if the process is killed.
+            compression: "none", or "zstd" for packed chunks.
+            limits: When to go on in another file; by default never.
+            background: Write in a thread, and keep some disk space for the end: for bags that
+                cannot be made again.
             information: Entries of metadata.yaml that replace the usual ones.
 
         Raises:
@@ -85,29 +90,38 @@ class BagWriter:
         """
         try:
             directory.mkdir(parents=True)
-            self._file = (directory / f"{directory.name}_0.mcap").open("xb")
         except FileExistsError:
-            raise FileError(f"bag {directory} exists already: choose another name") from None
+            raise BagExistsError(f"bag {directory} exists already: choose another name") from None
         except OSError as error:
             raise FileError(f"bag {directory} cannot be made: {error.strerror}") from None
         self.directory = directory
         self._custom_data = dict(custom_data or {})
         self._information = dict(information or {})
-        self._typestore = get_typestore(Stores.ROS2_JAZZY)
+        self._format = FileFormat(chunked, compression, background)
+        self._limits = limits or Limits()
         self._topics: dict[int, _Topic] = {}
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
-        self._first_time: int | None = None
+        self._files: list[BagFile] = []
+        self._unsettled: list[BagFile] = []  # files that were split off and are still being written
         self._last_time = 0
-        self._mcap = Writer(
-            self._file, use_chunking=chunked, compression=CompressionType.NONE, enable_crcs=True
-        )
-        self._mcap.start(profile="ros2", library=_LIBRARY)
-        self._write_metadata()
+        self._metadata_is_old = False
+        try:
+            if background:
+                (directory / _RESERVE).write_bytes(bytes(_RESERVE_BYTES))
+            self._start_file()
+            self._write_metadata()
+        except OSError as error:
+            self._undo()
+            raise FileError(f"bag {directory} cannot be written: {error.strerror}") from None
 
     @property
     def message_count(self) -> int:
         """Return the number of messages written."""
         return sum(topic.message_count for topic in self._topics.values())
+
+    @property
+    def size(self) -> int:
+        """Return the length [bytes] of all files."""
+        return sum(file.size for file in self._files)
 
     def add_topic(
         self, name: str, type_name: str, qos_profiles: Sequence[dict[str, Any]] = ()
@@ -116,24 +130,23 @@ class BagWriter:
 
         Raises:
             UnknownTypeError: The definition of the message type is not known.
+            FileError: There are more topics than the format can number.
 
         """
-        if type_name not in self._typestore.fielddefs:
-            raise UnknownTypeError(f"topic {name} has the unknown type {type_name}: not recorded")
-        definition, _ = self._typestore.generate_msgdef(type_name, ros_version=2)
+        text = type_text(type_name)
         profiles = [dict(profile) for profile in qos_profiles]
         number = self.copy_topic(
             TopicDefinition(
                 name,
                 type_name,
                 "ros2msg",
-                definition.encode(),
-                self._typestore.hash_rihs01(type_name),
+                text.definition.encode(),
+                text.type_hash,
                 profiles,
                 metadata={"offered_qos_profiles": yaml.safe_dump(profiles, sort_keys=False)},
             )
         )
-        self._write_metadata()
+        self._metadata_is_old = True
         return number
 
     def copy_topic(self, topic: TopicDefinition) -> int:
@@ -145,14 +158,9 @@ class BagWriter:
         """
         if len(self._topics) >= _MOST_TOPICS:
             raise FileError(f"bag {self.directory} cannot hold more than {_MOST_TOPICS} topics")
-        key = (topic.type_name, topic.schema_encoding, topic.schema)
-        if key not in self._schemas:
-            self._schemas[key] = self._mcap.register_schema(*key)
-        channel = self._mcap.register_channel(
-            topic.name, topic.message_encoding, self._schemas[key], dict(topic.metadata)
-        )
-        self._topics[channel] = _Topic(topic)
-        return int(channel)
+        number = self._files[-1].add_topic(topic)
+        self._topics[number] = _Topic(topic)
+        return number
 
     def write(self, topic: int, message: bytes, log_time: int, publish_time: int) -> None:
         """Write a serialised message with its times [ns]; log times never go back."""
@@ -162,67 +170,80 @@ class BagWriter:
         self, topic: int, message: bytes, log_time: int, publish_time: int, sequence: int = 0
     ) -> None:
         """Write a serialised message with its times [ns] as they are; they may go back."""
-        first = self._first_time
-        self._first_time = log_time if first is None else min(first, log_time)
+        if self._is_full(log_time, len(message)):
+            self._split()
         self._last_time = max(log_time, self._last_time)
-        self._mcap.add_message(topic, log_time, message, publish_time, sequence)
+        self._files[-1].write(topic, message, log_time, publish_time, sequence)
         self._topics[topic].message_count += 1
 
     def flush(self) -> None:
-        """Hand everything to the operating system: it then outlives this process."""
-        self._file.flush()
+        """Hand everything to the operating system: it then outlives this process.
+
+        Raises:
+            OSError: Something could not be written; `close` must follow.
+
+        """
+        for file in tuple(self._unsettled):
+            file.check()
+            if file.is_settled:
+                self._unsettled.remove(file)
+                file.close()
+        self._files[-1].flush()
+        if self._metadata_is_old:
+            self._write_metadata()
 
     def close(self) -> None:
-        """Write index, statistics and metadata.yaml."""
-        self._mcap.finish()
-        self._file.close()
+        """Write index, statistics and metadata.yaml.
+
+        Raises:
+            OSError: Not everything could be written. The files end with a whole record, for
+                `recover`; metadata.yaml is that of before.
+
+        """
+        (self.directory / _RESERVE).unlink(missing_ok=True)
+        errors = []
+        for file in (*self._unsettled, self._files[-1]):
+            try:
+                file.close()
+            except OSError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
         self._write_metadata()
 
+    def _is_full(self, log_time: int, length: int) -> bool:
+        """Return whether a message must go to another file."""
+        file, limits = self._files[-1], self._limits
+        if file.first_time is None:
+            return False
+        if limits.duration and log_time - file.first_time >= limits.duration:
+            return True
+        return bool(limits.size) and file.size + length + RECORD_OVERHEAD > limits.size
+
+    def _split(self) -> None:
+        """Go on in another file, which defines all topics again."""
+        full = self._files[-1]
+        self._start_file()
+        self._unsettled.append(full)
+        full.finish()
+        self._write_metadata()
+
+    def _start_file(self) -> None:
+        name = f"{self.directory.name}_{len(self._files)}.mcap"
+        file = BagFile(self.directory / name, self._format)
+        for topic in self._topics.values():
+            file.add_topic(topic.definition)
+        self._files.append(file)
+
     def _write_metadata(self) -> None:
-        """Write metadata.yaml as of now; exchanged in one step, so that it is always whole."""
-        start = self._first_time or 0
-        span: dict[str, Any] = {
-            "duration": {"nanoseconds": self._last_time - start},
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": self.message_count,
-        }
-        name = f"{self.directory.name}_0.mcap"
-        information = {
-            "version": _METADATA_VERSION,
-            "storage_identifier": "mcap",
-            **span,
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": {
-                        "name": topic.definition.name,
-                        "type": topic.definition.type_name,
-                        "serialization_format": topic.definition.message_encoding,
-                        "offered_qos_profiles": list(topic.definition.qos_profiles),
-                        "type_description_hash": topic.definition.type_hash,
-                    },
-                    "message_count": topic.message_count,
-                }
-                for topic in self._topics.values()
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [name],
-            "files": [{"path": name, **span}],
-            "custom_data": self._custom_data or None,
-            "ros_distro": "jazzy",
-            **self._information,
-        }
-        content = yaml.dump(
-            {"rosbag2_bagfile_information": information}, Dumper=_PlainDumper, sort_keys=False
-        )
-        temporary = self.directory / "metadata.yaml.tmp"
-        temporary.write_text(content, encoding="utf-8")
-        temporary.replace(self.directory / "metadata.yaml")
+        topics = [(topic.definition, topic.message_count) for topic in self._topics.values()]
+        information = bag_information(self._files, topics, self._custom_data)
+        write_metadata(self.directory, {**information, **self._information})
+        self._metadata_is_old = False
 
-
-class _PlainDumper(yaml.SafeDumper):
-    """YAML without anchors and aliases."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        """Return True: write everything out."""
-        return True
+    def _undo(self) -> None:
+        """Remove a bag that could not be begun."""
+        for file in self._files:
+            with contextlib.suppress(OSError):
+                file.close()
+        shutil.rmtree(self.directory, ignore_errors=True)

@@ -4,95 +4,83 @@ from __future__ import annotations
 
 import functools
 import importlib
-import platform
+import itertools
 import time as steady
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from std_msgs.msg import Header
 
-from adp_path_follower import __version__
-from adp_path_follower.bags.writer import BagWriter, UnknownTypeError
-from adp_path_follower.core.schema import setting
+from adp_path_follower.bags.writer import BagExistsError, BagWriter, Limits, UnknownTypeError
+from adp_path_follower.core.errors import FileError
 from adp_path_follower.nodes.parameters import declare_settings
+from adp_path_follower.nodes.provenance import provenance
+from adp_path_follower.nodes.recorder_settings import RUN_TOPICS, RecorderSettings
 from adp_path_follower.nodes.run import Ending, run_node
+from adp_path_follower.nodes.topic_choice import topic_patterns
+
+__all__ = ["NODE_NAME", "RUN_TOPICS", "RecorderNode", "main"]
 
 NODE_NAME = "recorder"
-RUN_TOPICS = (
-    "odom",
-    "ground_truth",
-    "cmd_vel",
-    "path",
-    "path_follower/target",
-    "path_follower/tracking_error",
-    "path_follower/critic_weights",
-    "path_follower/actor_weights",
-    "path_follower/bellman_error",
-    "path_follower/excitation",
-    "path_follower/cost",
-    "path_follower/configuration",
-    "/diagnostics",
-)
 
+_NANOSECONDS = 1_000_000_000
 _FLUSH_PERIOD = 0.25  # [s], steady: what a kill -9 can lose
 _DISCOVERY_PERIOD = 0.1  # [s], steady
+_STATUS_PERIOD = 1.0  # [s], steady
 _LEAST_LINGER, _MOST_LINGER = 0.3, 5.0  # [s], steady
-_FIXED = "the bag is made at the start"
-
-
-@dataclass(frozen=True)
-class BagSettings:
-    """Recorder node."""
-
-    output: str = setting(
-        "",
-        "Directory of the bag, which must not exist yet; empty makes one named by date and time.",
-        read_only=_FIXED,
-    )
-    topics: tuple[str, ...] = setting(
-        RUN_TOPICS, "Topics to record, as soon as they appear.", read_only=_FIXED
-    )
-
-
-@dataclass(frozen=True)
-class RecorderSettings:
-    """All settings of the recorder."""
-
-    bag: BagSettings
 
 
 class RecorderNode(Ending, Node):
     """Write messages as they were serialised; decode nothing."""
 
     def __init__(self) -> None:
-        """Create the bag and look for the topics."""
+        """Create the bag and look for the topics.
+
+        Raises:
+            SettingsError: A setting is wrong.
+            FileError: The bag exists, or cannot be made.
+
+        """
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         self._last_message = 0.0  # steady [s]
         self._silent: set[int] = set()  # topics without a message so far
-        bag = declare_settings(self, RecorderSettings).bag
-        name = bag.output or datetime.now().strftime("adp_run_%Y_%m_%d-%H_%M_%S")
-        self._writer: BagWriter | None = BagWriter(
-            Path(name).expanduser(),
-            {"host": platform.node(), "adp_path_follower": __version__},
-        )
-        self._missing = {self.resolve_topic_name(topic) for topic in bag.topics}
+        self._settled: set[str] = set()  # topics that need not be looked at again
+        self._recorded: dict[str, tuple[int, Subscription]] = {}
+        self._cause = ""  # why the recording stopped before its time
+        settings = declare_settings(self, RecorderSettings)
+        choice, names = settings.topics, (self.get_namespace(), self.resolve_topic_name)
+        self._wanted = topic_patterns("topics", choice.topics, *names)
+        self._unwanted = topic_patterns("exclude", choice.exclude, *names)
+        self._takes_all = choice.all
+        self._writer: BagWriter | None = _new_bag(settings)
+        self._bag = self._writer  # what the status tells of, also afterwards
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=clock)
-        self.create_timer(_FLUSH_PERIOD, self._flush, clock=clock)
-        self.get_logger().info(f"recording to {self._writer.directory}")
+        self._status_timer = self.create_timer(_STATUS_PERIOD, self._publish_status, clock=clock)
+        self._recording_timers = [
+            self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=clock),
+            self.create_timer(_FLUSH_PERIOD, self._flush, clock=clock),
+        ]
+        self.get_logger().info(f"recording to {self._bag.directory}")
 
     def lingers(self, elapsed: float) -> bool:
         """Return whether messages are still coming in.
 
         A launch file ends all nodes at once, so the others' last words come after our signal.
         """
+        self._status_timer.cancel()
         quiet = steady.monotonic() - self._last_message
-        return elapsed < _LEAST_LINGER or (quiet < _LEAST_LINGER and elapsed < _MOST_LINGER)
+        return self._writer is not None and (
+            elapsed < _LEAST_LINGER or (quiet < _LEAST_LINGER and elapsed < _MOST_LINGER)
+        )
 
     def last_words(self) -> None:
         """Close the bag, with all that has arrived."""
@@ -102,37 +90,65 @@ class RecorderNode(Ending, Node):
         try:
             writer.close()
         except OSError as error:
-            self.get_logger().error(f"bag {writer.directory} not closed: {error.strerror}")
+            self.get_logger().error(
+                f"bag {writer.directory} not closed: {error.strerror}; `adp recover` reads what "
+                "was written"
+            )
             return
         self.get_logger().info(f"recorded {writer.message_count} messages to {writer.directory}")
 
     def _discover(self) -> None:
         """Subscribe to the topics that have appeared."""
-        for topic in sorted(self._missing):
-            publishers = self.get_publishers_info_by_topic(topic)
-            if publishers:
-                self._missing.discard(topic)
-                self._subscribe(topic, publishers)
+        if self._writer is None:
+            return
+        found = {name for name, _ in self.get_topic_names_and_types()}
+        for topic in sorted(found - self._settled):
+            if not self._is_chosen(topic):
+                self._settled.add(topic)
+            elif publishers := self.get_publishers_info_by_topic(topic):
+                self._settled.add(topic)
+                self._begin(self._writer, topic, publishers)
 
-    def _subscribe(self, topic: str, publishers: list[TopicEndpointInfo]) -> None:
-        assert self._writer is not None  # timers end with the node
+    def _is_chosen(self, topic: str) -> bool:
+        wanted = self._takes_all or self._wanted.match(topic)
+        return wanted and not self._unwanted.match(topic)
+
+    def _begin(self, writer: BagWriter, topic: str, publishers: list[TopicEndpointInfo]) -> None:
+        """Begin to record a topic, or warn that it cannot be recorded."""
         type_name = publishers[0].topic_type
         try:
-            number = self._writer.add_topic(
+            kind = _message_class(type_name)
+            number = writer.add_topic(
                 topic, type_name, [_qos_entry(publisher.qos_profile) for publisher in publishers]
             )
-            kind = _message_class(type_name)
-        except (UnknownTypeError, ImportError, AttributeError) as error:
+        except FileError as error:
             self.get_logger().warning(f"topic {topic} ({type_name}) is not recorded: {error}")
             return
-        self.create_subscription(
+        self._silent.add(number)
+        self._subscribe(topic, number, kind, publishers)
+
+    def _subscribe(
+        self, topic: str, number: int, kind: type, publishers: list[TopicEndpointInfo]
+    ) -> None:
+        subscription = self.create_subscription(
             kind,
             topic,
             functools.partial(self._record, number, topic),
             _matching_qos(publishers),
             raw=True,
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=lambda _: self._resubscribe(topic, kind)
+            ),
         )
-        self._silent.add(number)
+        self._recorded[topic] = number, subscription
+
+    def _resubscribe(self, topic: str, kind: type) -> None:
+        """Ask for less, as another publisher has come that offers less."""
+        publishers = self.get_publishers_info_by_topic(topic)
+        if publishers and self._writer is not None:
+            number, subscription = self._recorded.pop(topic)
+            self.destroy_subscription(subscription)
+            self._subscribe(topic, number, kind, publishers)
 
     def _record(self, number: int, topic: str, message: bytes, info: dict[str, int]) -> None:
         """Write one serialised message."""
@@ -157,18 +173,76 @@ class RecorderNode(Ending, Node):
             self._give_up(error)
 
     def _give_up(self, error: OSError) -> None:
-        """Stop recording, say so once, and leave what was written."""
-        assert self._writer is not None
+        """Stop recording, close what was written, and say so once; the node goes on."""
+        writer, self._writer = self._writer, None
+        assert writer is not None
+        self._cause = error.strerror or str(error)
+        for timer in self._recording_timers:
+            timer.cancel()
+        for _, subscription in self._recorded.values():
+            self.destroy_subscription(subscription)
+        try:
+            writer.close()
+            saved = f"all {writer.message_count} messages up to then are in the bag"
+        except OSError:
+            saved = "`adp recover` reads what was written"
         self.get_logger().error(
-            f"recording to {self._writer.directory} stopped: {error.strerror}; what was written "
-            "up to now stays readable"
+            f"recording to {writer.directory} stopped: {self._cause}; {saved}; free space or "
+            "choose another disk, and start the recorder again"
         )
-        self._writer = None
+        self._publish_status()
+
+    def _publish_status(self) -> None:
+        """Say how the recording goes."""
+        failed = bool(self._cause)
+        values = {
+            "bag": str(self._bag.directory),
+            "messages": str(self._bag.message_count),
+            "bytes": str(self._bag.size),
+            "cause": self._cause,
+        }
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if failed else DiagnosticStatus.OK,
+            name=self.get_fully_qualified_name(),
+            message=f"recording stopped: {self._cause}" if failed else "recording",
+            hardware_id="",
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
+
+
+def _new_bag(settings: RecorderSettings) -> BagWriter:
+    """Return a new bag of the name that is set, or of the next free one with the date."""
+    bag = settings.bag
+    make = functools.partial(
+        BagWriter,
+        custom_data=provenance(settings),
+        compression=bag.compression,
+        limits=Limits(round(bag.max_duration * _NANOSECONDS), bag.max_size),
+        background=True,
+    )
+    if bag.output:
+        return make(Path(bag.output).expanduser())
+    name = datetime.now().strftime("adp_run_%Y_%m_%d-%H_%M_%S")
+    for number in itertools.count(2):
+        try:
+            return make(Path(name))
+        except BagExistsError:
+            name = f"{name.partition('+')[0]}+{number}"
+    raise AssertionError("unreachable")
 
 
 def _message_class(type_name: str) -> Any:
-    package, _, name = type_name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
+    package, kind, name = type_name.split("/")
+    if kind != "msg":
+        raise UnknownTypeError("only types named PACKAGE/msg/NAME can be recorded")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise UnknownTypeError(
+            f"package {package} does not have it here: install it, or source its workspace"
+        ) from None
 
 
 def _matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
@@ -188,7 +262,7 @@ def _qos_entry(profile: QoSProfile) -> dict[str, Any]:
     """Return a QoS profile as rosbag2's metadata spells it."""
 
     def duration(value: Any) -> dict[str, int]:
-        seconds, nanoseconds = divmod(value.nanoseconds, 1_000_000_000)
+        seconds, nanoseconds = divmod(value.nanoseconds, _NANOSECONDS)
         return {"sec": seconds, "nsec": nanoseconds}
 
     return {

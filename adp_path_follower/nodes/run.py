@@ -15,7 +15,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.errors import AdpError, SettingsError
 
 
 class RunnableNode(Protocol):
@@ -74,7 +74,7 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
     code = 0
     node: Node | None = None
     try:
-        node = make_node()
+        node = _made(make_node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stop.received and not node.finished and rclpy.ok():
@@ -100,6 +100,23 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
     return code
+
+
+def _made(make_node: Callable[[], Node]) -> Node:
+    """Return the node.
+
+    Raises:
+        AdpError: It refused its settings, or rclpy did.
+
+    """
+    try:
+        return make_node()
+    except ValueError as error:
+        if isinstance(error, AdpError) or "PARAMETER_NOT_SET" not in str(error):
+            raise
+        raise SettingsError(
+            "a setting is an empty list, [], which ROS 2 does not pass on: leave it out"
+        ) from None
 
 
 def _one_line(error: BaseException) -> str:
