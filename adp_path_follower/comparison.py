@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adp_path_follower.analysis.projection import project
 from adp_path_follower.baselines.registry import PEERS
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.follower import PathFollower
@@ -23,7 +24,6 @@ from adp_path_follower.simulation import (
     PAPER_START,
     ControllerFactory,
     SimulationResult,
-    Trajectories,
     simulate,
 )
 
@@ -259,24 +259,6 @@ def _outcome(
         settling_time=many.settling_time,
         effort=many.effort,
         lap_time=single.trajectories.time[counted],
-        cross_track=_cross_track(single.trajectories, path)[counted],
+        cross_track=project(path, single.trajectories.pose[0]).cross_track[counted],
         step_time=single.step_time,
     )
-
-
-def _cross_track(trajectories: Trajectories, path: Path) -> FloatArray:
-    """Return the first run's distance from the path's nearest place, left positive [m], (T,).
-
-    The nearest place is sought from the virtual target on, by going to the foot of the
-    perpendicular on the tangent.
-    """
-    position = trajectories.pose[0, :, :2]
-    place = trajectories.arc_length[0]
-    for _ in range(10):
-        frame = path.frame(place)
-        heading = frame.pose[:, 2]
-        apart = position - frame.pose[:, :2]
-        place = place + np.clip(
-            apart[:, 0] * np.cos(heading) + apart[:, 1] * np.sin(heading), -0.5, 0.5
-        )
-    return np.asarray(apart[:, 1] * np.cos(heading) - apart[:, 0] * np.sin(heading))

@@ -1,4 +1,4 @@
-"""Where the files lie that come with the package: parameter files."""
+"""Where the files lie that come with the package: parameter files and layouts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PACKAGE = "adp_path_follower"
 
 
 def config_file(name: str) -> Path:
-    """Return a parameter file of the package, such as "paper.yaml", wherever it is installed.
+    """Return a file of the package's config folder, such as "paper.yaml", wherever it is installed.
 
     Raises:
         FileError: There is no such file.
@@ -26,4 +26,4 @@ def config_file(name: str) -> Path:
     for file in (source, *installed):
         if file.is_file():
             return file
-    raise FileError(f"parameter file {name} did not come with this installation: install it again")
+    raise FileError(f"file {name} did not come with this installation: install it again")

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+
+from adp_path_follower.cli import main
 
 OPTIMUM = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
 PAPER = str(Path(__file__).parents[1] / "config" / "paper.yaml")
@@ -39,6 +43,18 @@ def test_help_teaches():
         assert "--params" in text.stdout
         assert "--set" in text.stdout
     assert adp("--version").stdout.startswith("adp, version ")
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in main.adp.list_commands(None))])
+def test_help_fits_a_terminal_and_keeps_examples_as_lines(command):
+    text = CliRunner().invoke(main.adp, [*command, "--help"], terminal_width=80).output
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "\\b" not in text
+    # An example begins its line, or follows what it is for; click would fill lines with them.
+    examples = [line for line in lines if re.search(r"\badp [a-z]+( --?\w| \w+_| >|$)", line)]
+    assert all(line.count("adp ") == 1 for line in examples)
+    assert examples or command == ["paper"]
 
 
 def test_simulate_writes_the_documented_json_and_npz(tmp_path):

@@ -190,7 +190,12 @@ def _spread(name: str, values: FloatArray) -> dict[str, float]:
 
 
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+    if not len(values):
+        return math.nan
+    largest = (
+        float(np.abs(values).max()) or 1.0
+    )  # whose square may be beyond 1e308 in a damaged bag
+    return largest * float(np.sqrt(np.mean((values / largest) ** 2)))
 
 
 def _command_values(drive: Drive) -> dict[str, float]:

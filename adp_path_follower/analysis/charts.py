@@ -19,6 +19,7 @@ _GREY_BUCKETS = 200  # of a weight that is only there for the whole
 _NAMED_WEIGHTS = 10
 _POSES = 4000  # that the robot is moved through, shared by the bags
 _BINS = 60
+_GREATEST = 1e30  # that is drawn; the page has single precision, and the axes need room beyond
 
 
 @dataclass(frozen=True)
@@ -173,8 +174,14 @@ def _weight_lines(weights: Timed, buckets: int, bags: int) -> tuple[Line, ...]:
 def _line(
     name: str, time: FloatArray, values: FloatArray, buckets: int, background: bool = False
 ) -> Line:
+    values = _drawable(values)
     kept = extremes(values, buckets)
     return Line(name, time[kept], values[kept], background)
+
+
+def _drawable(values: FloatArray) -> FloatArray:
+    """Return values with a gap where a damaged message held what no figure can show."""
+    return np.where(np.abs(values) <= _GREATEST, values, np.nan)
 
 
 def _size(values: FloatArray) -> FloatArray:
@@ -204,7 +211,7 @@ def _track(drive: Drive, bags: int) -> Track:
             target[:, column] = np.interp(
                 time[moving],
                 recorded.time[order],
-                recorded.values[order, column],
+                _drawable(recorded.values[order, column]),
                 left=np.nan,
                 right=np.nan,
             )

@@ -7,19 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from adp_path_follower.analysis.projection import Projection, project
 from adp_path_follower.bags.columns import Series
+from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.bags.reader import Diagnostic, Run
 from adp_path_follower.core.errors import AdpError, FileError
-from adp_path_follower.core.files import parse_yaml
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
 
 _OTHER_CLOCK = 1_000_000_000  # [ns] between arrival and stamp: they are of different clocks
+_SAME_CLOCK_SHARE = 0.9  # of the commands that arrived exactly at the stamp of some odometry
 _GREATEST = 1e8  # [m, m/s, rad/s]
 _FLOOR = 1e-9  # [m/s, rad/s]: a command below it is zero
 
@@ -40,6 +39,27 @@ class Timed:
     labels: tuple[str, ...] = ()
 
 
+class Clock:
+    """Translates arrival into the clock of the stamps, where a bag was recorded by another."""
+
+    def __init__(self, odometry: Series) -> None:
+        """Find out by odometry, which has both times."""
+        late = odometry.arrival - odometry.stamp
+        self._other = bool(len(late)) and abs(float(np.median(late))) > _OTHER_CLOCK
+        if self._other:
+            self._origin, self._first = int(odometry.arrival[0]), int(odometry.stamp[0])
+            # Relative, for a double cannot hold nanoseconds since 1970.
+            self._arrival = (odometry.arrival - self._origin).astype(float)
+            self._stamp = (odometry.stamp - self._first).astype(float)
+
+    def stamps(self, arrival: np.ndarray) -> np.ndarray:
+        """Return stamps [ns] for arrivals [ns]."""
+        if not self._other:
+            return arrival
+        moved = np.interp((arrival - self._origin).astype(float), self._arrival, self._stamp)
+        return np.asarray(self._first + moved.astype(np.int64))
+
+
 @dataclass(frozen=True)
 class Drive:
     """What the analysis of a bag goes by.
@@ -47,6 +67,7 @@ class Drive:
     Attributes:
         name: Name of the bag.
         run: What the bag holds.
+        clock: Translates arrival into stamps.
         start: Stamp of the first odometry while the robot was told to move: time 0 [ns].
         end: Time at which it was last told to move [s].
         odometry: x, y, theta, v, w.
@@ -54,7 +75,8 @@ class Drive:
         paths: The paths, in order.
         path_of_pose: Which of them was in force at each odometry, shape (N,).
         commands: v, w; no rows where no commands were recorded.
-        latency: From the odometry that a command answers to the command, by arrival [s].
+        latency: From the odometry that a command answers to the command, by arrival [s]; no rows
+            where the recorder's clock does not tell.
         learner: The topics of the learner and its target that are in the bag.
         settings: The controller's, where the bag says them.
         notes: What could not be used, in sentences.
@@ -63,6 +85,7 @@ class Drive:
 
     name: str
     run: Run
+    clock: Clock
     start: int
     end: float
     odometry: Timed
@@ -77,35 +100,12 @@ class Drive:
 
     def seconds(self, arrival: int) -> float:
         """Return the time [s] of an arrival [ns]."""
-        clock = _Clock(self.run.series["odom"])
-        return float((clock.stamps(np.array([arrival]))[0] - self.start) * 1e-9)
+        return float((self.clock.stamps(np.array([arrival]))[0] - self.start) * 1e-9)
 
     @property
     def driving(self) -> np.ndarray:
         """Return which of the odometry was recorded while the robot was told to move, (N,)."""
         return np.asarray((self.odometry.time >= 0.0) & (self.odometry.time <= self.end))
-
-
-class _Clock:
-    """Translates arrival into the clock of the stamps, where a bag was recorded by another."""
-
-    def __init__(self, odometry: Series) -> None:
-        late = odometry.arrival - odometry.stamp
-        self._other = bool(len(late)) and abs(float(np.median(late))) > _OTHER_CLOCK
-        self._odometry = odometry
-
-    def stamps(self, arrival: np.ndarray) -> np.ndarray:
-        """Return stamps [ns] for arrivals [ns]."""
-        if not self._other:
-            return arrival
-        origin, first = int(self._odometry.arrival[0]), int(self._odometry.stamp[0])
-        # Relative, for a double cannot hold nanoseconds since 1970.
-        moved = np.interp(
-            (arrival - origin).astype(float),
-            (self._odometry.arrival - origin).astype(float),
-            (self._odometry.stamp - first).astype(float),
-        )
-        return np.asarray(first + moved.astype(np.int64))
 
 
 def drive_of(bag: Path, run: Run) -> Drive:
@@ -118,7 +118,7 @@ def drive_of(bag: Path, run: Run) -> Drive:
     notes = list(run.notes)
     odometry = _odometry(bag, run, notes)
     paths, path_times = _paths(bag, run, notes)
-    clock = _Clock(run.series["odom"])
+    clock = Clock(run.series["odom"])
     commands = _sorted(run.series.get("cmd_vel"), clock)
     moving = np.flatnonzero(np.abs(commands.values).max(axis=1, initial=0.0) > _FLOOR)
     # Without commands all of the odometry counts.
@@ -133,6 +133,7 @@ def drive_of(bag: Path, run: Run) -> Drive:
     return Drive(
         name=bag.name or str(bag),
         run=run,
+        clock=clock,
         start=start,
         end=float((last - start) * 1e-9),
         odometry=_timed(odometry, start),
@@ -140,7 +141,7 @@ def drive_of(bag: Path, run: Run) -> Drive:
         paths=paths,
         path_of_pose=in_force,
         commands=_timed(commands, start),
-        latency=_latency(run),
+        latency=_latency(run.series["odom"], _between(commands, first, last), notes),
         learner=_learner(run, clock, start),
         settings=_settings(run, notes),
         notes=tuple(notes),
@@ -200,7 +201,7 @@ def _projection(
     )
 
 
-def _sorted(series: Series | None, clock: _Clock) -> Series:
+def _sorted(series: Series | None, clock: Clock) -> Series:
     """Return commands in order of time, each stamp once; none where there is no series."""
     if series is None:
         return Series(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
@@ -216,7 +217,7 @@ def _timed(series: Series, start: int, stamp: np.ndarray | None = None) -> Timed
     return Timed(time, series.values, series.labels)
 
 
-def _learner(run: Run, clock: _Clock, start: int) -> dict[str, Timed]:
+def _learner(run: Run, clock: Clock, start: int) -> dict[str, Timed]:
     """Return the learner's topics on the time axis.
 
     Weights and errors carry no stamp. With one message for each step they belong to the steps in
@@ -235,23 +236,50 @@ def _learner(run: Run, clock: _Clock, start: int) -> dict[str, Timed]:
     return found
 
 
-def _latency(run: Run) -> FloatArray:
+def _between(series: Series, first: int, last: int) -> Series:
+    """Return the messages from one stamp to another [ns]."""
+    chosen = (series.stamp >= first) & (series.stamp <= last)
+    return Series(series.stamp[chosen], series.values[chosen], (), series.arrival[chosen])
+
+
+def _latency(odometry: Series, commands: Series, notes: list[str]) -> FloatArray:
     """Return how long after its odometry each command arrived [s].
 
-    A command answers the odometry of its own stamp; where there is none, the last that arrived
-    before it.
+    A command answers the odometry of its own stamp, which lock-step may have repeated; where there
+    is none, the last that arrived before it.
     """
-    odometry, commands = run.series["odom"], run.series.get("cmd_vel")
-    if commands is None:
+    if not len(commands.stamp):
         return np.zeros(0)
-    stamps, first = np.unique(odometry.stamp, return_index=True)
-    place = np.minimum(np.searchsorted(stamps, commands.stamp), len(stamps) - 1)
-    answers = stamps[place] == commands.stamp
+    if np.isin(commands.arrival, odometry.stamp).mean() > _SAME_CLOCK_SHARE:
+        notes.append(
+            "no latency: the recorder's clock went on only with the odometry, as simulated time "
+            "does in lock-step"
+        )
+        return np.zeros(0)
+    own, arrival = _last_before(odometry, commands)
     arrivals = np.sort(odometry.arrival)
     before = np.searchsorted(arrivals, commands.arrival, side="right") - 1
-    source = np.where(answers, odometry.arrival[first][place], arrivals[np.maximum(before, 0)])
+    source = np.where(own, arrival, arrivals[np.maximum(before, 0)])
     late = (commands.arrival - source) * 1e-9
-    return np.asarray(late[answers | (before >= 0)])
+    return np.asarray(late[own | (before >= 0)])
+
+
+def _last_before(odometry: Series, commands: Series) -> tuple[np.ndarray, np.ndarray]:
+    """Return which commands have the stamp of odometry, and the arrival of the last such [ns].
+
+    Where all of it arrived after the command, which the recorder may see in the wrong order, it is
+    the first.
+    """
+    order = np.lexsort((odometry.arrival, odometry.stamp))
+    stamps, arrivals = odometry.stamp[order], odometry.arrival[order]
+    begin = np.searchsorted(stamps, commands.stamp, side="left")
+    end = np.searchsorted(stamps, commands.stamp, side="right")
+    found = arrivals[np.minimum(begin, len(arrivals) - 1)]
+    for index in np.flatnonzero(end > begin + 1).tolist():
+        same = arrivals[begin[index] : end[index]]
+        place = int(np.searchsorted(same, commands.arrival[index], side="right")) - 1
+        found[index] = same[max(place, 0)]
+    return end > begin, found
 
 
 def _settings(run: Run, notes: list[str]) -> Settings | None:
@@ -259,12 +287,9 @@ def _settings(run: Run, notes: list[str]) -> Settings | None:
     if not run.configurations:
         return None
     try:
-        content = parse_yaml(run.configurations[0][1])
-        if not isinstance(content, dict) or not isinstance(content.get("settings"), dict):
-            raise AdpError("it holds no settings")
-        return build(Settings, content["settings"])
-    except (AdpError, yaml.YAMLError) as error:
-        notes.append(f"the configuration was passed over: {' '.join(str(error).split())}")
+        return parse_configuration(run.configurations[0][1]).settings
+    except AdpError as error:
+        notes.append(f"the configuration was passed over: {error}")
         return None
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import yaml
-
 from adp_path_follower.analysis.drive import Drive, controller_states
-from adp_path_follower.core.files import parse_yaml
+from adp_path_follower.bags.configuration import Configuration, parse_configuration
+from adp_path_follower.core.errors import FileError
 
 MOST_EVENTS = 500  # that are kept of a bag
 KINDS = ("state", "fault", "warning", "parameter", "path")
@@ -45,26 +44,27 @@ def events_of(drive: Drive) -> tuple[Event, ...]:
         Event(drive.seconds(time), "path", f"path of {len(points)} points")
         for time, points in run.paths
     ]
-    before: dict[str, object] | None = None
-    for time, text in run.configurations:
-        settings = _settings_of(text)
-        if before is not None:
-            events += [
-                Event(drive.seconds(time), "parameter", f"{name}: {before.get(name)} → {value}")
-                for name, value in settings.items()
-                if before.get(name) != value
-            ]
-        before = settings
+    events += _changes(drive)
     return tuple(sorted(events, key=lambda event: event.time)[:MOST_EVENTS])
 
 
-def _settings_of(text: str) -> dict[str, object]:
-    """Return the settings that a configuration names; none where it is not one."""
-    try:
-        content = parse_yaml(text)
-    except yaml.YAMLError:
-        return {}
-    settings = content.get("settings") if isinstance(content, dict) else None
-    return (
-        {str(name): value for name, value in settings.items()} if isinstance(settings, dict) else {}
-    )
+def _changes(drive: Drive) -> list[Event]:
+    """Return the changes of parameters, and the resets of learning."""
+    events: list[Event] = []
+    before: Configuration | None = None
+    for arrival, text in drive.run.configurations:
+        try:
+            after = parse_configuration(text)
+        except FileError:  # the drive has a note about it
+            continue
+        if before is not None:
+            time = drive.seconds(arrival)
+            events += [
+                Event(time, "parameter", f"{name}: {before.values.get(name)} → {value}")
+                for name, value in after.values.items()
+                if before.values.get(name) != value
+            ]
+            if after.learning_resets > before.learning_resets:
+                events.append(Event(time, "parameter", "learning was reset"))
+        before = after
+    return events

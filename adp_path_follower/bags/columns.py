@@ -61,7 +61,7 @@ class Columns:
         self._times: list[int] = []
         self._labels: tuple[str, ...] = ()
         self._count = 0
-        self._wrong = 0  # messages of another width than the first
+        self._other_width = 0  # messages with another number of values than most of the first ones
         self._stamp = np.zeros(0, dtype=np.int64)
         self._arrival = np.zeros(0, dtype=np.int64)
         self._values: FloatArray | None = None
@@ -73,42 +73,52 @@ class Columns:
         if len(self._waiting) == _BATCH:
             self._decode()
 
-    def series(self) -> tuple[Series, int]:
-        """Return everything, and how many messages had to be left out."""
+    def series(self) -> tuple[Series, int, int]:
+        """Return everything, and what had to be left out.
+
+        Returns:
+            The messages; how many others cannot be decoded; how many hold another number of values.
+
+        """
         self._decode()
         values = np.zeros((0, 0)) if self._values is None else self._values
         _resize(self._count, self._stamp, self._arrival, values)
         found = Series(self._stamp, values, self._labels, self._arrival)
-        return found, self._decoder.broken + self._wrong
+        return found, self._decoder.broken, self._other_width
 
     def _decode(self) -> None:
         """Decode what waits."""
         if not self._waiting:
             return
-        times = np.array(self._times, dtype=np.int64)
-        blocks = self._decoder.decode(self._waiting)
-        if self._is_array and not self._labels:
-            label = self._decoder.text(self._waiting[0], "layout.dim.0.label")
+        blocks = [
+            (chosen, stamps, _planar(values) if self._has_pose else values)
+            for chosen, stamps, values in self._decoder.decode(self._waiting)
+        ]
+        if blocks and self._values is None:
+            self._values = np.zeros((0, _usual_width([values for _, _, values in blocks])))
+        if blocks and self._is_array and not self._labels:
+            first = self._waiting[min(int(chosen[0]) for chosen, _, _ in blocks)]
+            label = self._decoder.text(first, "layout.dim.0.label")
             self._labels = tuple(label.split(", ")) if label else ()
-        stamps = times.copy()
-        rows: np.ndarray = np.zeros((0, 0))
+        self._gather(blocks, np.array(self._times, dtype=np.int64))
+        self._waiting, self._times = [], []
+
+    def _gather(
+        self, blocks: list[tuple[np.ndarray, np.ndarray, FloatArray]], times: np.ndarray
+    ) -> None:
+        """Append decoded blocks in the order in which their messages arrived."""
+        if self._values is None:
+            return
+        stamps, kept = times.copy(), np.zeros(len(times), dtype=bool)
+        rows = np.full((len(times), self._values.shape[1]), np.nan)
         for chosen, block_stamps, values in blocks:
-            if self._has_pose:
-                values = _planar(values)
-            if self._values is None:
-                self._values = np.zeros((0, values.shape[1]))
-            if not len(rows):
-                rows = np.full((len(times), self._values.shape[1]), np.nan)
-                kept = np.zeros(len(times), dtype=bool)
             if values.shape[1] != rows.shape[1]:
-                self._wrong += len(chosen)
+                self._other_width += len(chosen)
                 continue
             rows[chosen], kept[chosen] = values, True
             if self._stamped:
                 stamps[chosen] = block_stamps
-        if len(rows):
-            self._append(stamps[kept], times[kept], rows[kept] if not kept.all() else rows)
-        self._waiting, self._times = [], []
+        self._append(stamps[kept], times[kept], rows[kept] if not kept.all() else rows)
 
     def _append(self, stamps: np.ndarray, arrivals: np.ndarray, rows: FloatArray) -> None:
         assert self._values is not None
@@ -121,6 +131,14 @@ class Columns:
         self._arrival[self._count : end] = arrivals
         self._values[self._count : end] = rows
         self._count = end
+
+
+def _usual_width(blocks: list[FloatArray]) -> int:
+    """Return the number of columns that most rows have; the first one's may be a damaged length."""
+    counts: dict[int, int] = {}
+    for values in blocks:
+        counts[values.shape[1]] = counts.get(values.shape[1], 0) + len(values)
+    return max(counts, key=lambda width: counts[width])
 
 
 def _resize(rows: int, *arrays: np.ndarray) -> None:

@@ -27,6 +27,7 @@ _SERIES = {
     "ground_truth": _ODOMETRY,
     "cmd_vel": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"),
     "target": ("geometry_msgs/msg/PoseStamped",),
+    "measured_pose": ("geometry_msgs/msg/Vector3Stamped",),
     "tracking_error": ("geometry_msgs/msg/Vector3Stamped",),
     "critic_weights": _ARRAY,
     "actor_weights": _ARRAY,
@@ -40,6 +41,7 @@ _OTHERS = {
     "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray",),
 }
 _TYPES = {**_SERIES, **_OTHERS}
+_NEEDED = ("odom", "path")  # without which there is nothing to analyse or replay
 _PLAIN = ("odom", "ground_truth", "cmd_vel", "path", "diagnostics")  # not under the node's name
 
 
@@ -114,7 +116,8 @@ def read_run(
 
     Raises:
         FileError: The bag is missing or cannot be read, a topic that was asked for is not in it
-            or has another type, or it is not clear which topic is meant.
+            or has another type, it is not clear which topic is meant, or no message of the
+            odometry or of the path can be decoded.
 
     """
     if not bag.exists():
@@ -194,6 +197,7 @@ class _Collector:
         self._diagnostics: list[Diagnostic] = []
         self._said: dict[str, tuple[int, str]] = {}
         self._last_path = b""
+        self._undecodable: dict[str, int] = {}  # key -> messages
         self._columns: dict[str, Columns] = {}
         self._handlers: dict[int, Callable[[int, bytes], None]] = {}
         keys = {topic: key for key, topic in self._topics.items()}
@@ -220,17 +224,22 @@ class _Collector:
             handler(time, raw)
 
     def run(self) -> Run:
-        """Return what was collected."""
+        """Return what was collected.
+
+        Raises:
+            FileError: Not one message of the odometry or of the path can be decoded.
+
+        """
         series = {}
         for key, columns in self._columns.items():
-            found, left_out = columns.series()
+            found, self._undecodable[key], other_width = columns.series()
             if len(found.stamp):
                 series[key] = found
-            if left_out:
-                self._notes.append(
-                    f"topic {self._topics[key]}: {left_out} messages are not of the first one's "
-                    "form: passed over"
-                )
+            if other_width:
+                self._note_left_out(key, other_width, "hold another number of values than most")
+        for key, count in self._undecodable.items():
+            if count:
+                self._note_left_out(key, count, "cannot be decoded")
         return Run(
             series,
             tuple(self._paths),
@@ -240,6 +249,14 @@ class _Collector:
             self._topics,
             tuple(self._notes),
         )
+
+    def _note_left_out(self, key: str, count: int, reason: str) -> None:
+        """Note how many messages of a topic were passed over, and why."""
+        topic = self._topics[key]
+        total = self._counts[topic]
+        if count == total and key in _NEEDED:
+            raise FileError(f"topic {topic}: none of its {total} messages can be decoded")
+        self._notes.append(f"topic {topic}: {count} of {total} messages {reason}: passed over")
 
     def _typestore(self, connection: Connection) -> Typestore:
         """Return the types of a connection as its bag defines them, else those of ROS 2 Jazzy."""
@@ -270,8 +287,13 @@ class _Collector:
         def handle(time: int, raw: bytes) -> None:
             if key == "path" and raw == self._last_path:  # published again, unchanged
                 return
+            try:
+                message = store.deserialize_cdr(raw, kind)
+            except Exception:  # whatever a damaged message does to the library
+                self._undecodable[key] = self._undecodable.get(key, 0) + 1
+                return
             self._last_path = raw if key == "path" else self._last_path
-            take(time, store.deserialize_cdr(raw, kind))
+            take(time, message)
 
         return handle
 

@@ -60,10 +60,10 @@ def demo(
     to 5 from the bag and prints a summary.
 
     \b
-    The recommended settings:           adp demo
-    The paper's laws and constants:     adp demo --params config/paper.yaml
-    With other parameters:              adp demo --params my_robot.yaml --set target_gain=0.3
-    On a circle of 2 m radius:          adp demo --path circle:0.5
+    The recommended settings:        adp demo
+    The paper's laws and constants:  adp demo --params config/paper.yaml
+    With other parameters:           adp demo --set target_gain=0.3
+    On a circle of 2 m radius:       adp demo --path circle:0.5
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
     path = named_path(path_name)

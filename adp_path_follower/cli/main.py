@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from typing import Any
 
 import click
 
@@ -27,6 +28,10 @@ _COMMANDS = {
 class _LazyGroup(click.Group):
     """A group that lists its commands without importing them."""
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        _mark_examples(self)
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_COMMANDS)
 
@@ -35,11 +40,20 @@ class _LazyGroup(click.Group):
             return None
         module = importlib.import_module(f"adp_path_follower.cli.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
+        _mark_examples(command)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl(list(_COMMANDS.items()))
+
+
+def _mark_examples(command: click.Command) -> None:
+    r"""Turn the \b above examples into the character by which click knows lines to be kept.
+
+    Docstrings are raw strings, in which it is two characters.
+    """
+    command.help = (command.help or "").replace("\\b\n", "\b\n")
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

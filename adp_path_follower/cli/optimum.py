@@ -72,9 +72,11 @@ def optimum(
     horizon half as long again, stands beside it.
 
     \b
-    The paper's start:                   adp optimum --check
-    With limits, before a sharp bend:    adp optimum --params config/default.yaml \
-                                             --start 0.5 -0.5 1 --start-arc-length 15
+    The paper's start:
+        adp optimum --check
+    With limits, before a sharp bend:
+        adp optimum --params config/default.yaml --start 0.5 -0.5 1 \
+            --start-arc-length 15
 
     Exit code 1 if any start has no converged optimum; it is named, the others are still written.
     """

@@ -191,7 +191,8 @@ def _differences(found: Replay) -> list[str]:
     recorded, replayed = found.recorded[answered], found.replayed[answered]
     first = int(np.argmin(found.identical[answered]))
     apart = np.abs(replayed - recorded)
-    rms = np.sqrt((apart**2).mean(axis=0))
+    largest = np.maximum(apart.max(axis=0), 1e-300)  # of which the square may not be a number
+    rms = largest * np.sqrt(((apart / largest) ** 2).mean(axis=0))
     return [
         f"first difference after {time[first]:.3f} s: recorded v = {recorded[first, 0]:.6g} m/s, "
         f"ω = {recorded[first, 1]:.6g} rad/s; replayed v = {replayed[first, 0]:.6g} m/s, "

@@ -9,6 +9,7 @@ from bag_messages import (
     SECOND,
     STORE,
     array,
+    diagnostics,
     odometry,
     path_message,
     raw,
@@ -164,7 +165,69 @@ def test_broken_messages_are_left_out_and_counted(tmp_path):
     writer.close()
     run = read_run(tmp_path / "bag")
     assert run.series["odom"].values[:, 0].tolist() == [1.0, 1.0]
-    assert run.notes == ("topic /odom: 3 messages are not of the first one's form: passed over",)
+    assert run.notes == ("topic /odom: 3 of 5 messages cannot be decoded: passed over",)
+
+
+def damaged_bag(directory, damage):
+    """Write a bag in which the first of several messages on some topics is damaged."""
+    writer = BagWriter(directory)
+    wholes = {
+        "/odom": odometry(5, 1.0, 2.0, 0.5),
+        "/path": path_message([(0.0, 0.0), (1.0, 0.0)]),
+        "/path_follower/configuration": text("settings: {}"),
+        "/diagnostics": diagnostics(0, "following"),
+    }
+    for name, message in wholes.items():
+        topic = writer.add_topic(name, message.__msgtype__)
+        for number in range(3):
+            content = raw(message)
+            writer.write(topic, damage(name, number, content), number, number)
+    writer.close()
+    return directory
+
+
+def test_damaged_messages_of_any_topic_are_passed_over_and_counted(tmp_path):
+    bag = damaged_bag(
+        tmp_path / "bag", lambda _, number, content: content if number else content[:9]
+    )
+    run = read_run(bag)
+    assert len(run.series["odom"].stamp) == 2
+    assert run.path_points.tolist() == [[0.0, 0.0], [1.0, 0.0]]
+    assert run.configuration == "settings: {}"
+    assert [item.state for item in run.diagnostics] == ["following"]
+    assert set(run.notes) == {
+        f"topic {topic}: 1 of 3 messages cannot be decoded: passed over"
+        for topic in ("/odom", "/path", "/path_follower/configuration", "/diagnostics")
+    }
+
+
+@pytest.mark.parametrize("topic", ["/odom", "/path"])
+def test_a_topic_that_is_needed_and_cannot_be_decoded_is_one_sentence(tmp_path, topic):
+    bag = damaged_bag(
+        tmp_path / "bag", lambda name, _, content: content[:9] if name == topic else content
+    )
+    with pytest.raises(FileError, match=f"topic {topic}: none of its 3 messages can be decoded"):
+        read_run(bag)
+
+
+def test_a_topic_that_is_not_needed_and_cannot_be_decoded_is_a_note(tmp_path):
+    bag = damaged_bag(
+        tmp_path / "bag",
+        lambda name, _, content: content[:9] if name == "/diagnostics" else content,
+    )
+    run = read_run(bag)
+    assert run.diagnostics == ()
+    assert run.notes == ("topic /diagnostics: 3 of 3 messages cannot be decoded: passed over",)
+
+
+def test_the_first_array_does_not_decide_the_width_alone(tmp_path):
+    topic = "/path_follower/critic_weights"
+    messages = [(topic, time, array([1.0] * (1 if time == 1 else 2))) for time in range(1, 6)]
+    run = read_run(write_bag(tmp_path / "bag", messages))
+    assert run.series["critic_weights"].values.shape == (4, 2)
+    assert run.notes == (
+        f"topic {topic}: 1 of 5 messages hold another number of values than most: passed over",
+    )
 
 
 def test_arrays_keep_their_labels_and_their_width(tmp_path):

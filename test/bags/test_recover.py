@@ -15,6 +15,7 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from adp_path_follower.bags.mcap_chunk import MOST_BYTES
@@ -109,11 +110,10 @@ def _whole(content: bytes, files: dict[str, bytes]) -> int:
 
 
 def test_the_decoder_of_mcap_reads_a_recovered_bag(run, files, tmp_path):
-    decoder = pytest.importorskip("mcap_ros2.decoder")
     bag = torn_bags.copy_with(run, tmp_path / "bag", files["plain"][:-500])
     recovery = recover(bag)
     with (recovery.bag / "bag_recovered_0.mcap").open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[decoder.DecoderFactory()])
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         decoded = [found for _, _, _, found in reader.iter_decoded_messages()]
     assert len(decoded) == sum(recovery.message_counts.values()) > 0
     assert decoded[2].pose.pose.position.x == -0.1

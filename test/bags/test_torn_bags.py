@@ -22,6 +22,8 @@ import pytest
 import torn_bags
 from mcap.opcode import Opcode
 
+from adp_path_follower.analysis.bag_analysis import analyse_bag
+from adp_path_follower.analysis.bag_pngs import draw_bags
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.recover import recover
 from adp_path_follower.bags.replay import replay
@@ -153,18 +155,43 @@ def test_damaged_bags_end_with_success_or_a_sentence(run, files, tmp_path, first
         torn = torn_bags.copy_with(run, tmp_path / "torn", content)
         shutil.rmtree(tmp_path / "new", ignore_errors=True)
         started = time.monotonic()
-        recovery = _ended_well(lambda: recover(torn, tmp_path / "new"))  # noqa: B023
+        recovery = _ended_well(recover, torn, tmp_path / "new")
         for bag in (torn, *([recovery.bag] if recovery else [])):
-            _ended_well(lambda: replay(read_run(bag)))  # noqa: B023
+            run_in_bag = _ended_well(read_run, bag)
+            if run_in_bag is not None:
+                _ended_well(replay, run_in_bag)
         assert time.monotonic() - started < 10.0, (seed, kind, way)
         if recovery and kind in ("lz4", "zstd"):  # what has checksums comes out as it was
             assert set(torn_bags.contents(recovery.bag)) <= originals, (seed, kind, way)
 
 
-def _ended_well(task: Callable[[], Any]) -> Any:
+def test_analyses_of_damaged_bags_end_with_success_or_a_sentence(tmp_path):
+    """All of the learner's topics; pages and figures of a few, for they take most of the time."""
+    pytest.importorskip("plotly", reason="the report needs the extra 'report'")
+    from adp_path_follower.analysis.report import write_report
+
+    torn_bags.write_run(tmp_path / "run", steps=20, profiles=(), learner=True)
+    whole = torn_bags.variants(tmp_path / "run")["plain"]
+    analyses = []
+    for seed in range(24):
+        way, content = torn_bags.mutated(whole, random.Random(seed))
+        torn = torn_bags.copy_with(tmp_path / "run", tmp_path / "torn", content)
+        shutil.rmtree(tmp_path / "new", ignore_errors=True)
+        recovery = _ended_well(recover, torn, tmp_path / "new")
+        for bag in (torn, *([recovery.bag] if recovery else [])):
+            found = _ended_well(analyse_bag, bag, {}, 1, tmp_path / "trajectory.tum")
+            if found is not None and way in ("bit flips", "noise", "zeros", "swapped blocks"):
+                analyses.append(found)
+    assert len(analyses) >= 8
+    for found in analyses[::4]:
+        draw_bags([found], tmp_path / "figures")
+        write_report([found], [], tmp_path / "report.html")
+
+
+def _ended_well(task: Callable[..., Any], *arguments: Any) -> Any:
     """Return what a task gives, or None if it ended with one sentence."""
     try:
-        return task()
+        return task(*arguments)
     except AdpError as error:
         sentence = str(error)
     assert len(sentence.splitlines()) == 1

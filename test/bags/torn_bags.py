@@ -43,6 +43,15 @@ QOS = {
 }
 
 _PERIOD = 10_000_000  # [ns]
+LEARNER_KINDS = {
+    "/path_follower/target": "geometry_msgs/msg/PoseStamped",
+    "/path_follower/tracking_error": "geometry_msgs/msg/Vector3Stamped",
+    "/path_follower/critic_weights": "std_msgs/msg/Float64MultiArray",
+    "/path_follower/actor_weights": "std_msgs/msg/Float64MultiArray",
+    "/path_follower/bellman_error": "std_msgs/msg/Float64",
+    "/path_follower/excitation": "std_msgs/msg/Float64",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
 
 
 def message(kind: str, *fields: object) -> bytes:
@@ -73,8 +82,18 @@ def _twist(v: float, w: float) -> object:
     return make("geometry_msgs/msg/Twist", make(kind, v, 0.0, 0.0), make(kind, 0.0, 0.0, w))
 
 
-def write_run(directory: Path, steps: int = 25, profiles: Sequence[dict] = (QOS,)) -> None:
-    """Write the bag of a short run in lock-step, as the recorder does."""
+def write_run(
+    directory: Path, steps: int = 25, profiles: Sequence[dict] = (QOS,), learner: bool = False
+) -> None:
+    """Write the bag of a short run in lock-step, as the recorder does.
+
+    Args:
+        directory: The bag.
+        steps: Control steps.
+        profiles: QoS profiles of each topic.
+        learner: Write the topics of the learner and /diagnostics, too.
+
+    """
     settings = load_settings(
         Settings, "path_follower", None, ("control_trigger=odometry", "path_start=beginning")
     )
@@ -88,6 +107,7 @@ def write_run(directory: Path, steps: int = 25, profiles: Sequence[dict] = (QOS,
         "/odom": "nav_msgs/msg/Odometry",
         "/cmd_vel": "geometry_msgs/msg/TwistStamped",
         "/path_follower/cost": "std_msgs/msg/Float64",
+        **(LEARNER_KINDS if learner else {}),
     }
     topics = {name: writer.add_topic(name, kind, profiles) for name, kind in kinds.items()}
 
@@ -116,8 +136,32 @@ def write_run(directory: Path, steps: int = 25, profiles: Sequence[dict] = (QOS,
         v, w = (float(value) for value in follower.step_at(pose, stamp).command)
         write("/cmd_vel", stamp + 1, _header(stamp), _twist(v, w))
         write("/path_follower/cost", stamp + 2, 0.1 * (step + 1))
+        for topic, fields in _learner_fields(stamp, pose, step) if learner else ():
+            write(topic, stamp + 3, *fields)
         pose = pose + 0.01 * np.array([v * np.cos(pose[2]), v * np.sin(pose[2]), w])
     writer.close()
+
+
+def _learner_fields(
+    stamp: int, pose: np.ndarray, step: int
+) -> Iterator[tuple[str, tuple[object, ...]]]:
+    """Yield topic and fields of what the learner would publish; the numbers need not be right."""
+    names = [f"w{index}" for index in range(14)]
+    dimension = make("std_msgs/msg/MultiArrayDimension", ", ".join(names), 14, 14)
+    weights = make("std_msgs/msg/MultiArrayLayout", [dimension], 0), np.arange(14.0) + step
+    state = make("diagnostic_msgs/msg/KeyValue", "state", "following")
+    status = make(
+        *("diagnostic_msgs/msg/DiagnosticStatus", 0, "/path_follower", f"following {step // 20}"),
+        *("", [state]),
+    )
+    error = make("geometry_msgs/msg/Vector3", 0.1, -0.1, 0.01 * step)
+    yield "/path_follower/target", (_header(stamp), _pose(*pose))
+    yield "/path_follower/tracking_error", (_header(stamp), error)
+    yield "/path_follower/critic_weights", weights
+    yield "/path_follower/actor_weights", weights
+    yield "/path_follower/bellman_error", (0.1 / (1 + step),)
+    yield "/path_follower/excitation", (0.2,)
+    yield "/diagnostics", (_header(stamp), [status])
 
 
 def contents(bag: Path) -> list[Saved]:

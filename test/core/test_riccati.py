@@ -120,7 +120,7 @@ def test_errors_may_cost_nothing(state_cost, curvature):
     assert np.abs(found).max() < 1e-5
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of products beyond 1e308
 def test_numbers_too_extreme_for_a_solution_are_refused_with_what_to_do():
     cost = CostSettings(state_cost=(1e200, 1.0, 1.0))
     with pytest.raises(SettingsError, match=r"state_cost.*curvature 2 1/m: choose values nearer"):

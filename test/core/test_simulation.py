@@ -180,7 +180,7 @@ def test_more_starts_than_a_block_keep_their_order(tuning, figure_eight):
         np.testing.assert_allclose(outcome(together, index), outcome(single, 0), atol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of the lost run's numbers
 @pytest.mark.parametrize("lost", LOST_STARTS)
 @pytest.mark.parametrize("name", ["lissajous", "line"])
 def test_a_run_that_is_lost_is_reported_and_the_others_go_on(tuning, lost, name):
@@ -213,7 +213,7 @@ def test_a_lost_run_leaves_the_learner_of_the_others_alone(figure_eight, learnin
     np.testing.assert_allclose(beside.cost[:3], alone.cost, rtol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of starts up to 1e308
 @settings(max_examples=25, deadline=None)
 @given(
     start=st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3),
