@@ -16,7 +16,8 @@ demo: $(VENV)/ready  ## Drive the paper's figure eight with real ROS 2 nodes
 	$(BIN)/adp demo $(if $(OUT),--out $(OUT))
 
 test: $(VENV)/ready  ## Run all tests, those of real nodes too
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not nodes" -n auto --dist loadfile
+	$(BIN)/pytest -m nodes
 
 lint: $(VENV)/ready-lint  ## Check style and types
 	$(BIN)/ruff format --check .
