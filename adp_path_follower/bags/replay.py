@@ -15,7 +15,8 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.settings import Settings
 
-_NEIGHBOURS = np.arange(-2, 2)  # commands about the one that arrived with a step
+_NEIGHBOURS = np.arange(-10, 10)  # commands about the one that arrived with a step
+_LATE = 100_000_000  # [ns] beyond the usual: a pose that was delivered long after it was published
 
 
 @dataclass(frozen=True)
@@ -293,8 +294,12 @@ def _recorded(commands: Series | None, steps: Steps, replayed: FloatArray) -> Fl
         _, in_steps, in_commands = np.intersect1d(steps.stamp, stamps, return_indices=True)
         found[in_steps] = commands.values[first[in_commands]]
         return found
-    # Without stamps: of those that arrived about then, the one that comes nearest.
+    # Without stamps: of those that arrived about then, the one that comes nearest. A recorder that
+    # joins late gets the poses from before, all at once, but not the commands.
     place = np.searchsorted(commands.arrival, steps.arrival)[:, None] + _NEIGHBOURS
     near = commands.values[np.clip(place, 0, len(commands.stamp) - 1)]
     apart = np.abs(near - replayed[:, None]).sum(axis=2)
-    return np.asarray(near[np.arange(len(near)), apart.argmin(axis=1)])
+    delay = steps.arrival - steps.stamp
+    usual = (delay <= np.median(delay) + _LATE) & (steps.arrival >= commands.arrival[0])
+    found[usual] = near[np.arange(len(near)), apart.argmin(axis=1)][usual]
+    return found

@@ -124,7 +124,11 @@ def test_a_run_by_timer_replays_through_all_that_changes(peer, start, tmp_path, 
         count = len(commands)
         peer.until(lambda: len(commands) > count + 60, "sixty commands")
 
-    peer.until(lambda: "recording /cmd_vel" in recorder.output(), "the recorder")
+    heard = ("cmd_vel", "path", "path_follower/configuration", "path_follower/measured_pose")
+    peer.until(
+        lambda: all(f"recording /{topic}\n" in recorder.output() for topic in heard),
+        "the recorder",
+    )
     drive_on()
     assert peer.set_parameter("path_follower", "desired_speed", 0.4).successful
     drive_on()
