@@ -300,6 +300,8 @@ def _recorded(commands: Series | None, steps: Steps, replayed: FloatArray) -> Fl
     near = commands.values[np.clip(place, 0, len(commands.stamp) - 1)]
     apart = np.abs(near - replayed[:, None]).sum(axis=2)
     delay = steps.arrival - steps.stamp
-    usual = (delay <= np.median(delay) + _LATE) & (steps.arrival >= commands.arrival[0])
+    period = np.median(np.diff(steps.stamp)) if len(delay) > 1 else 0.0
+    usual = delay <= np.median(delay) + _LATE
+    usual &= steps.arrival >= commands.arrival[0] - 0.5 * period
     found[usual] = near[np.arange(len(near)), apart.argmin(axis=1)][usual]
     return found

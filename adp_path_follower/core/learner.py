@@ -153,7 +153,7 @@ def least_squares(weights: Weights, sampled: BellmanErrors) -> FloatArray:
     vector = np.einsum("...nl,...n->...l", scaled, constant / sampled.normalization)
     size = np.einsum("...ll->...l", matrix)
     matrix = matrix + _RIDGE * (size + 1e-12)[..., None] * np.eye(matrix.shape[-1])
-    return np.asarray(np.linalg.solve(matrix, -vector[..., None])[..., 0])
+    return np.asarray(_solve(matrix, -vector))
 
 
 def follow(
@@ -189,8 +189,18 @@ def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:
     # The step is dt N(z) descent with N(z) = (1 - 1 / (1 + z + z^2/2)) / z = Re + Im of
     # 1 / (z + 1 - i): one complex solve, without squaring the matrix and its condition.
     matrix = dt * rate + (1.0 - 1.0j) * np.eye(rate.shape[-1])
-    solution = np.linalg.solve(matrix, descent[..., None])[..., 0]
+    solution = _solve(matrix, descent)
     return np.asarray(dt * (solution.real + solution.imag))
+
+
+def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return the solutions of linear systems (..., L, L), NaN of those that have none."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, vector[..., None])[..., 0])
+    except np.linalg.LinAlgError:  # the numbers of a robot that is lost: it must not stop others
+        if matrix.ndim == 2:
+            return np.full_like(vector, np.nan, dtype=matrix.dtype)
+        return np.stack([_solve(*pair) for pair in zip(matrix, vector, strict=True)])
 
 
 def project(step: FloatArray, actor_weights: FloatArray, bound: float) -> FloatArray:

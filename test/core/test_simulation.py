@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp, trapezoid
 
@@ -219,6 +219,7 @@ def test_a_lost_run_leaves_the_learner_of_the_others_alone(figure_eight, learnin
     start=st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3),
     arc_length=st.floats(-1e6, 1e6),
 )
+@example(start=(0.0, 1.6878221678120006e41, 0.0), arc_length=-186.765625)  # a singular matrix
 def test_any_finite_start_has_an_outcome(tuning, figure_eight, start, arc_length):
     options = {"duration": 0.1, "rate": 50.0, "start_arc_length": arc_length}
     result = simulate(tuning, figure_eight, start, **options)
