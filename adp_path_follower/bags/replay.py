@@ -16,6 +16,7 @@ from adp_path_follower.core.path import Path
 from adp_path_follower.core.settings import Settings
 
 _NEIGHBOURS = np.arange(-10, 10)  # commands about the one that arrived with a step
+_BEGINNING = 1_000_000_000  # [ns] in which a recording may lack commands
 _LATE = 100_000_000  # [ns] beyond the usual: a pose that was delivered long after it was published
 
 
@@ -300,8 +301,11 @@ def _recorded(commands: Series | None, steps: Steps, replayed: FloatArray) -> Fl
     near = commands.values[np.clip(place, 0, len(commands.stamp) - 1)]
     apart = np.abs(near - replayed[:, None]).sum(axis=2)
     delay = steps.arrival - steps.stamp
-    period = np.median(np.diff(steps.stamp)) if len(delay) > 1 else 0.0
     usual = delay <= np.median(delay) + _LATE
-    usual &= steps.arrival >= commands.arrival[0] - 0.5 * period
     found[usual] = near[np.arange(len(near)), apart.argmin(axis=1)][usual]
+    # Nor those before the first that it heard, which are then compared with others.
+    same = np.flatnonzero((found == replayed).all(axis=1))
+    early = steps.arrival < commands.arrival[0] + _BEGINNING
+    if len(same):
+        found[: same[0]][early[: same[0]]] = np.nan
     return found
