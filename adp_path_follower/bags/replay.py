@@ -9,6 +9,7 @@ import numpy as np
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.configuration import Configuration, parse_configuration
 from adp_path_follower.bags.reader import Run
+from adp_path_follower.core.driver import Driver
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
@@ -119,7 +120,7 @@ def replay(run: Run, settings: Settings | None = None) -> Replay:
     steps = steps_of(run)
     if settings is None and "measured_pose" not in run.series:
         settings = _settings_of_odometry_steps(run)
-    driver = Driver(run, settings)
+    driver = RecordedDriver(run, settings)
     outputs: list[FollowerOutput] = []
     cost = []
     for pose, stamp in zip(steps.pose, steps.stamp.tolist(), strict=True):
@@ -168,8 +169,8 @@ def recorded_settings(run: Run) -> Settings:
     return parse_configuration(run.configuration).settings
 
 
-class Driver:
-    """What the controller node does with a follower, from what it said about it."""
+class RecordedDriver:
+    """Drives as the controller node did, from what it said about paths and parameters."""
 
     def __init__(self, run: Run, settings: Settings | None) -> None:
         """Take the paths and the changes of parameters; settings replace the recorded ones."""
@@ -182,31 +183,33 @@ class Driver:
         self._next = next(self._changes, None)
         if self._next is None and settings is None:
             raise FileError("the bag has no path_follower/configuration: replay it with --params")
-        self._resets = 0 if self._next is None else self._next.learning_resets
-        self._restarts = 0 if self._next is None else self._next.restarts
-        self._settings, self._path = settings, self._paths[-1] if self._next is None else None
-        self._follower: PathFollower | None = None
-        self._learned: PathFollower | None = None  # the follower of the path before
+        self._driver = Driver(settings or self._upcoming.settings)
+        if self._next is None:
+            self._driver.follow(self._paths[-1])
+        else:
+            self._driver.learning_resets = self._next.learning_resets
+            self._driver.restarts = self._next.restarts
+
+    @property
+    def _upcoming(self) -> Configuration:
+        assert self._next is not None  # the caller knows
+        return self._next
 
     @property
     def follower(self) -> PathFollower:
         """Return the follower of the present path."""
-        assert self._follower is not None  # every step makes one that is missing
-        return self._follower
+        assert self._driver.follower is not None  # every step makes one that is missing
+        return self._driver.follower
 
     @property
     def settings(self) -> Settings:
         """Return the present settings, or those that the first step will have."""
-        if self._settings is not None:
-            return self._settings
-        assert self._next is not None  # `__init__` refuses a run that has neither
-        return self._next.settings
+        return self._driver.settings
 
     @property
     def at_goal(self) -> bool:
         """Return whether the target is at the end of an open path."""
-        path = self.follower.path
-        return not path.closed and float(self.follower.arc_length) >= path.length
+        return self._driver.at_goal
 
     def step(self, pose: FloatArray, stamp: int) -> FollowerOutput:
         """Return what the follower gives for a pose (3,) at a time [ns].
@@ -218,11 +221,11 @@ class Driver:
         while self._next is not None and self._next.after_step < stamp:
             self._change(self._next)
             self._next = next(self._changes, None)
+        if self._driver.path is None:
+            raise FileError("the bag has control steps from before the controller had a path")
         try:
             with np.errstate(all="ignore"):  # a damaged pose is told below, once
-                if self._follower is None:
-                    self._start(pose)
-                output = self.follower.step_at(pose, stamp)
+                output = self._driver.step(pose, stamp)
             sound = bool(np.isfinite(output.command).all())
         except (ArithmeticError, LookupError, ValueError):
             sound = False
@@ -233,21 +236,17 @@ class Driver:
 
     def _change(self, change: Configuration) -> None:
         """Take over a path, settings or a reset of learning, as the node did."""
-        if change.learning_resets != self._resets:
-            self._resets, self._learned = change.learning_resets, None
-            if self._follower is not None:
-                self._follower.reset_learning()
-        if change.restarts != self._restarts:
-            self._restarts, self._learned, self._follower = change.restarts, self._follower, None
+        driver = self._driver
+        if change.learning_resets != driver.learning_resets:
+            driver.reset_learning()
+            driver.learning_resets = change.learning_resets
+        if change.restarts != driver.restarts:
+            driver.restart()
+            driver.restarts = change.restarts
         path = self._path_of(change.path_digest)
-        if path is not self._path:
-            if path is not None and self._follower is not None:
-                self._learned = self._follower
-            self._path, self._follower = path, None
-        settings = self._fixed or change.settings
-        if self._follower is not None and settings != self._settings:
-            self._follower = self._follower.reconfigured(settings)
-        self._settings = settings
+        if path is not driver.path:
+            driver.follow(path)
+        driver.change_settings(self._fixed or change.settings)
 
     def _path_of(self, digest: str) -> Path | None:
         if not digest:
@@ -256,17 +255,6 @@ class Driver:
             if path.digest() == digest:
                 return path
         raise FileError(f"the bag has not the path {digest} that the controller followed")
-
-    def _start(self, pose: FloatArray) -> None:
-        """Begin to follow the path from a pose."""
-        if self._path is None or self._settings is None:
-            raise FileError("the bag has control steps from before the controller had a path")
-        beginning = self._settings.controller.path_start == "beginning"
-        arc_length = 0.0 if beginning else self._path.nearest(pose)
-        self._follower = PathFollower(self._settings, self._path, arc_length)
-        if self._learned is not None:
-            self._follower.take_over(self._learned)
-            self._learned = None
 
 
 def _settings_of_odometry_steps(run: Run) -> Settings:

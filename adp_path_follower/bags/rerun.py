@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.bags.replay import Driver, Replay, Steps, recorded_settings, steps_of
+from adp_path_follower.bags.replay import (
+    RecordedDriver,
+    Replay,
+    Steps,
+    recorded_settings,
+    steps_of,
+)
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings import Settings
 from sim_unicycle.settings import PlantSettings
@@ -31,7 +37,7 @@ def rerun(run: Run, settings: Settings | None = None) -> tuple[Replay, FloatArra
 
     """
     recorded = steps_of(run)
-    driver = Driver(run, settings or recorded_settings(run))
+    driver = RecordedDriver(run, settings or recorded_settings(run))
     period = 1.0 / driver.settings.controller.controller_frequency
     first, last = int(recorded.stamp[0]), int(recorded.stamp[-1])
     stamps = first + np.arange(0, last - first + 1, round(period * _NANOSECONDS))

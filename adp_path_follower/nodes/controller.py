@@ -17,11 +17,11 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower import __version__
 from adp_path_follower.bags.configuration import NO_STEP, configuration_text
+from adp_path_follower.core.driver import Driver
 from adp_path_follower.core.errors import PathError, SettingsError
-from adp_path_follower.core.follower import FollowerOutput, PathFollower
+from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.odometry_check import OdometryCheck
-from adp_path_follower.core.path import Path
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State, Status, Supervisor, deviation
 from adp_path_follower.nodes.commands import WATCH_PERIOD, Commands
@@ -60,16 +60,12 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _forget_run(self) -> None:
         """Return to the state before any message."""
-        self._path: Path | None = None
+        self._driver = Driver(self._settings)
         self._path_frame = ""
         self._path_problem = ""
-        self._follower: PathFollower | None = None
-        self._learned: PathFollower | None = None  # the follower of the path before
         self._measurement: Measurement | None = None
         self._step_time: int | None = None
-        self._learning_resets = 0
         self._last_command: FloatArray = _ZERO
-        self._restarts = 0
         self._clock_time = 0
         self._shown = Status(State.INACTIVE)
         self._shown_since = 0
@@ -179,7 +175,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._measurement = measurement
         if self._commands is not None:
             self._commands.frame = measurement.child_frame
-        if self._path is not None and self._path_frame != measurement.frame:
+        if self._driver.path is not None and self._path_frame != measurement.frame:
             self._refuse_path(wrong_frame(self._path_frame, measurement.frame))
             self._remove_path()
         if self._settings.controller.control_trigger == "odometry":
@@ -187,7 +183,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _remove_path(self) -> None:
         """Follow nothing any more."""
-        self._path, self._follower = None, None
+        self._driver.follow(None)
         self._supervisor.path_removed()
         self._update_status()
         self._publish_configuration()
@@ -208,11 +204,10 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._refuse_path(str(error))
             return
         self._path_problem = ""
-        if self._path is not None and path.digest() == self._path.digest():
+        if self._driver.path is not None and path.digest() == self._driver.path.digest():
             return
-        if self._follower is not None:
-            self._learned = self._follower
-        self._path, self._path_frame, self._follower = path, frame, None
+        self._driver.follow(path)
+        self._path_frame = frame
         self._supervisor.path_received()
         kind = "closed" if path.closed else "open"
         self.get_logger().info(f"new path: {kind}, {path.length:.2f} m, in frame '{frame}'")
@@ -228,8 +223,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Check a change of parameters as a whole; take it over between two steps, or refuse."""
         try:
             settings = changed_settings(self._settings, parameters)
-            if settings != self._settings and self._follower is not None:
-                self._follower = self._follower.reconfigured(settings)
+            self._driver.change_settings(settings)
         except SettingsError as error:
             return SetParametersResult(successful=False, reason=str(error))
         if settings != self._settings:
@@ -241,10 +235,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _reset_learning(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        self._learned = None
-        if self._follower is not None:
-            self._follower.reset_learning()
-        self._learning_resets += 1
+        self._driver.reset_learning()
         self._publish_configuration()
         response.success, response.message = True, "weights are the initial ones again"
         return response
@@ -260,9 +251,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Go on from where the robot is now: it may have been carried."""
         self._supervisor.resume()
-        if self._follower is not None:
-            self._learned, self._follower = self._follower, None
-            self._restarts += 1
+        if self._driver.restart():
             self._publish_configuration()
         response.success, response.message = True, self._update_status().state.value
         return response
@@ -286,13 +275,12 @@ class PathFollowerNode(Ending, LifecycleNode):
         begun = steady.monotonic()
         try:
             with self._commands.control_step():
-                follower = self._follower or self._start_following(pose)
-                output = follower.step_at(pose, time)
+                output = self._driver.step(pose, time)
         except SettingsError as error:
             self._supervisor.command_refused(str(error))
             self._update_status()
             return
-        problem = self._command_problem(follower, output, steady.monotonic() - begun)
+        problem = self._command_problem(output, steady.monotonic() - begun)
         if problem:
             self._supervisor.command_refused(problem)
             self._update_status()
@@ -304,35 +292,26 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._update_status()
         else:
             self._commands.send(output.command, time)
+        follower = self._driver.follower
+        assert follower is not None  # the step has made it
         if self._telemetry.learning(follower.learning_problem):
             self._publish_diagnostics()
         self._telemetry.step(time, self._path_frame, pose, output, float(follower.cost))
         if steady.monotonic() >= self._next_markers:
             self._next_markers = steady.monotonic() + _MARKER_PERIOD
             self._telemetry.markers(time, self._path_frame, follower.path, output)
-        if not follower.path.closed and float(follower.arc_length) >= follower.path.length:
+        if self._driver.at_goal:
             self._supervisor.goal_reached()
 
-    def _command_problem(
-        self, follower: PathFollower, output: FollowerOutput, elapsed: float
-    ) -> str:
+    def _command_problem(self, output: FollowerOutput, elapsed: float) -> str:
         """Return why a command must not be sent, empty if it may."""
         if not np.isfinite(output.command).all():
-            follower.reset_learning()
+            self._driver.reset_learning()
+            self._publish_configuration()
             return "the learner's command is not finite; learning was reset"
         if elapsed > self._settings.controller.odom_timeout:
             return f"a control step took {elapsed:.2f} s"
         return ""
-
-    def _start_following(self, pose: FloatArray) -> PathFollower:
-        assert self._path is not None  # there is no FOLLOWING without a path
-        beginning = self._settings.controller.path_start == "beginning"
-        arc_length = 0.0 if beginning else self._path.nearest(pose)
-        follower = PathFollower(self._settings, self._path, arc_length)
-        if self._learned is not None:
-            follower.take_over(self._learned)
-        self._follower, self._learned = follower, None
-        return follower
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -378,18 +357,18 @@ class PathFollowerNode(Ending, LifecycleNode):
             return
         self._next_diagnostics = steady.monotonic() + 1.0
         values = {"version": __version__, "since [s]": f"{self._shown_since * 1e-9:.3f}"}
-        if self._follower is not None:
-            values["arc_length [m]"] = f"{float(self._follower.arc_length):.3f}"
-            values["cost"] = f"{float(self._follower.cost):.6g}"
+        if self._driver.follower is not None:
+            values["arc_length [m]"] = f"{float(self._driver.follower.arc_length):.3f}"
+            values["cost"] = f"{float(self._driver.follower.cost):.6g}"
         self._telemetry.diagnostics(self._now(), self._shown, self._path_problem, values)
 
     def _publish_configuration(self) -> None:
         if self._commands is None:
             return
-        after = NO_STEP if self._step_time is None else self._step_time
+        driver, after = self._driver, NO_STEP if self._step_time is None else self._step_time
         self._telemetry.configuration(
             configuration_text(
-                self._settings, self._path, after, self._learning_resets, self._restarts
+                driver.settings, driver.path, after, driver.learning_resets, driver.restarts
             )
         )
 

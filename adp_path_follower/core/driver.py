@@ -1,0 +1,101 @@
+"""One robot on the paths that come: what stays when path, settings or place change."""
+
+from __future__ import annotations
+
+from adp_path_follower.core.follower import FollowerOutput, PathFollower
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.settings import Settings
+
+
+class Driver:
+    """Drive one robot, between changes of path and settings; the node and replay share it.
+
+    Every change takes effect with the next step, so that a run is known from its steps and from
+    the step that each change came after.
+
+    Attributes:
+        settings: All settings.
+        path: The path to follow, None without one.
+        learning_resets: How often learning has been reset.
+        restarts: How often following has begun anew from where the robot was then.
+
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        """Begin without a path."""
+        self.settings = settings
+        self.path: Path | None = None
+        self.learning_resets = 0
+        self.restarts = 0
+        self._follower: PathFollower | None = None
+        self._learned: PathFollower | None = None  # the follower of the path before
+
+    @property
+    def follower(self) -> PathFollower | None:
+        """Return the follower of the path, None before the first step on it."""
+        return self._follower
+
+    @property
+    def at_goal(self) -> bool:
+        """Return whether the target is at the end of an open path."""
+        if self._follower is None or self._follower.path.closed:
+            return False
+        return float(self._follower.arc_length) >= self._follower.path.length
+
+    def follow(self, path: Path | None) -> None:
+        """Follow another path from the next step on, or none."""
+        if path is not None and self._follower is not None:
+            self._learned = self._follower
+        self.path, self._follower = path, None
+
+    def change_settings(self, settings: Settings) -> None:
+        """Go on with other settings.
+
+        Raises:
+            SettingsError: No policy can be found for them; the present ones stay.
+
+        """
+        if settings == self.settings:
+            return
+        if self._follower is not None:
+            self._follower = self._follower.reconfigured(settings)
+        self.settings = settings
+
+    def reset_learning(self) -> None:
+        """Return to the initial weights."""
+        self._learned = None
+        if self._follower is not None:
+            self._follower.reset_learning()
+        self.learning_resets += 1
+
+    def restart(self) -> bool:
+        """Begin anew where the robot will be, which may have been carried; return if it had begun.
+
+        What was learned stays.
+        """
+        if self._follower is None:
+            return False
+        self._learned, self._follower = self._follower, None
+        self.restarts += 1
+        return True
+
+    def step(self, pose: FloatArray, time: int) -> FollowerOutput:
+        """Return the command for a pose [x, y, theta] (3,) at a time [ns]; there must be a path.
+
+        Raises:
+            SettingsError: No policy can be found for these settings on this path.
+
+        """
+        follower = self._follower or self._begin(pose)
+        return follower.step_at(pose, time)
+
+    def _begin(self, pose: FloatArray) -> PathFollower:
+        assert self.path is not None  # the caller waits for one
+        beginning = self.settings.controller.path_start == "beginning"
+        arc_length = 0.0 if beginning else self.path.nearest(pose)
+        follower = PathFollower(self.settings, self.path, arc_length)
+        if self._learned is not None:
+            follower.take_over(self._learned)
+        self._follower, self._learned = follower, None
+        return follower
