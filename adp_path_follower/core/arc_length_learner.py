@@ -8,7 +8,9 @@ in which a place of the path is told what comes by the place ahead of it. So the
 backwards, knot by knot, from the Riccati solution at the end of its preview to the robot, and
 begins again: at each knot the critic takes the weights with the least Bellman errors for the
 actor's policy, and the actor follows. One control step works off a fixed number of samples, so
-its time is bounded however many samples and knots there are.
+its time is bounded however many samples and knots there are. Until the first sweep over the whole
+preview, the samples of one step must do for a knot: rough weights at once are better than good
+ones late.
 """
 
 from __future__ import annotations
@@ -91,6 +93,7 @@ class ArcLengthLearner:
             return
         self._owner = np.full(len(self._critic), np.iinfo(np.int64).min)
         self._reach = 0  # of the next sweep, growing to the window: where the robot is comes first
+        self._enough = len(self._model)  # samples for a knot
         self._restart()
         self._latest = KnotFit(np.full(self._size, np.nan), math.nan, math.nan)
         self.problem = ""
@@ -136,11 +139,20 @@ class ArcLengthLearner:
 
         """
         near, robots = self._span(arc_length)
+        at_once = self._learning.samples_per_step
         if self._knot is None:
+            self._enough = self._enough_samples(at_once)
             self._begin(near, robots + self._reach)
             self._reach = min(2 * self._reach + 1, self._window)
-        self._work(self._learning.samples_per_step, dt)
+        self._work(at_once, dt)
         self._follow(near, robots + self._window, dt)
+
+    def _enough_samples(self, at_once: int) -> int:
+        """Return how many samples make up a knot in the next sweep."""
+        all_samples = len(self._model)
+        rough = self._reach < self._window and self._learning.critic == "least_squares"
+        # More unknowns than samples would have no single solution.
+        return min(at_once, all_samples) if rough and at_once > self._size else all_samples
 
     def _span(self, arc_length: FloatArray) -> tuple[int, int]:
         """Return the knot behind the last robot and the one ahead of the first.
@@ -178,6 +190,7 @@ class ArcLengthLearner:
         # All that the memory holds; round a lap, one preview more, which comes to lie under it.
         far = min(far, near + len(self._critic) + (0 if self._lap is None else self._window))
         slots = self._slots(np.arange(near, far))
+        self._enough = len(self._model)
         self._begin(near, far)
         while self._knot is not None:
             self._work(len(self._model), math.inf)
@@ -215,12 +228,12 @@ class ArcLengthLearner:
     def _work(self, count: int, dt: float) -> None:
         """Work off some samples of the present knot, and go on to the next when all are done."""
         assert self._knot is not None  # `_begin` took one
-        end = min(self._done + count, len(self._model))
+        end = min(self._done + count, self._enough)
         samples = slice(self._done, end)
         part = self._model.equations(samples, self._ahead, self._knot_curvature)
         self._equations = part if self._equations is None else self._equations + part
         self._done, self._time = end, self._time + dt
-        if end < len(self._model):
+        if end < self._enough:
             return
         self._finish(self._equations)
         if self._knot > self._near:

@@ -116,8 +116,9 @@ class LearningSettings:
         read_only=_STRUCTURE,
     )
     samples_per_step: int = setting(
-        240,
-        "How many of them one control step works off.",
+        160,
+        "How many of them one control step works off. Until there are weights for the whole "
+        "preview, so many must do for each knot.",
         low=1,
         high=65536,
         read_only=_STRUCTURE,
@@ -134,7 +135,7 @@ class LearningSettings:
         read_only=_STRUCTURE,
     )
     preview_distance: float = setting(
-        2.0,
+        2.4,
         "How far ahead of the robot weights are learned, for scheduling: arc_length.",
         unit="m",
         low=0.02,

@@ -61,8 +61,9 @@ def settled_weights(follower, pose, distance=0.0):
 def assert_learned(robot):
     found, expected = robot.follower.weights, settled_weights(robot.follower, robot.pose)
     scale = np.abs(expected.critic).max()
-    np.testing.assert_allclose(found.critic, expected.critic, rtol=0.02, atol=0.02 * scale)
-    np.testing.assert_allclose(found.actor, expected.actor, rtol=0.02, atol=0.02 * scale)
+    # While a sweep goes on, the robot uses up some of the last one's preview.
+    np.testing.assert_allclose(found.critic, expected.critic, rtol=0.02, atol=0.05 * scale)
+    np.testing.assert_allclose(found.actor, expected.actor, rtol=0.02, atol=0.05 * scale)
     # More preview would hardly change the quadratic part.
     further = settled_weights(robot.follower, robot.pose, 10.0)
     np.testing.assert_allclose(found.critic[:6], further.critic[:6], atol=0.02 * scale)
