@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import time as steady
+from collections.abc import Callable
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
-from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.nodes.conversions import NANOSECONDS, odometry_message, stamp_nanoseconds
-from adp_path_follower.nodes.parameters import changed_settings, declare_settings
+from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
 from adp_path_follower.nodes.run import Ending, run_node
 from sim_unicycle.settings import SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
@@ -51,7 +49,7 @@ class SimulatorNode(Ending, Node):
         """Declare the parameters and start."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         self._settings = declare_settings(self, SimulatorSettings)
-        self.add_on_set_parameters_callback(self._change_parameters)
+        LiveSettings(self, self._settings, self._prepare_settings)
         simulation = self._settings.simulation
         self._period = round(NANOSECONDS / simulation.rate)  # [ns]
         self._own_clock = simulation.publish_clock or simulation.lockstep
@@ -96,13 +94,12 @@ class SimulatorNode(Ending, Node):
         start = self._settings.start
         return Unicycle(np.array([start.x, start.y, start.theta]), self._settings.plant)
 
-    def _change_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        try:
-            self._settings = changed_settings(self._settings, parameters)
-        except SettingsError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        self._robot.plant = self._settings.plant
-        return SetParametersResult(successful=True)
+    def _prepare_settings(self, settings: SimulatorSettings) -> Callable[[], None]:
+        def take_over() -> None:
+            self._settings = settings
+            self._robot.plant = settings.plant
+
+        return take_over
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._robot = self._new_robot()

@@ -27,6 +27,7 @@ class Configuration:
         after_step: Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
         learning_resets: How often learning has been reset since the node's start.
         restarts: How often following has begun anew from where the robot was then.
+        saved_weights: Digest of the weights file that it started from, empty without one.
 
     """
 
@@ -35,6 +36,7 @@ class Configuration:
     after_step: int = NO_STEP
     learning_resets: int = 0
     restarts: int = 0
+    saved_weights: str = ""
 
     @property
     def settings(self) -> Settings:
@@ -53,13 +55,18 @@ def configuration_text(
     after_step: int = NO_STEP,
     learning_resets: int = 0,
     restarts: int = 0,
+    saved_weights: str = "",
 ) -> str:
     """Return the text that says what a controller runs with, as YAML."""
     lines = [f"version: {__version__}"]
     if path is not None:
         lines.append(f"path: {{digest: '{path.digest()}', length: {path.length!r}}}")
     lines += [f"after_step: {after_step}", f"learning_resets: {learning_resets}"]
-    lines += [f"restarts: {restarts}", "settings:"]
+    lines += [
+        f"restarts: {restarts}",
+        *([f"saved_weights: '{saved_weights}'"] * bool(saved_weights)),
+    ]
+    lines.append("settings:")
     lines += [f"  {name}: {yaml_text(value)}" for name, value in flatten(settings).items()]
     return "\n".join(lines) + "\n"
 
@@ -94,4 +101,5 @@ def parse_configuration(text: str) -> Configuration:
         after_step=whole("after_step", NO_STEP),
         learning_resets=whole("learning_resets", 0),
         restarts=whole("restarts", 0),
+        saved_weights=str(content.get("saved_weights", "")),
     )

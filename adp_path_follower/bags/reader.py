@@ -38,6 +38,7 @@ _SERIES = {
 _OTHERS = {
     "path": _PATH,
     "configuration": ("std_msgs/msg/String",),
+    "initial_weights": ("std_msgs/msg/UInt8MultiArray",),
     "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray",),
 }
 _TYPES = {**_SERIES, **_OTHERS}
@@ -79,6 +80,8 @@ class Run:
         diagnostics: What changed in /diagnostics.
         topics: Key in `series` and "path" -> the topic that it was read from.
         notes: What was passed over, in sentences.
+        initial_weights: Content of the weights file that the controller started from, empty
+            without one.
 
     """
 
@@ -89,6 +92,7 @@ class Run:
     diagnostics: tuple[Diagnostic, ...] = ()
     topics: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    initial_weights: bytes = b""
 
     @property
     def path_points(self) -> FloatArray:
@@ -197,6 +201,7 @@ class _Collector:
         self._diagnostics: list[Diagnostic] = []
         self._said: dict[str, tuple[int, str]] = {}
         self._last_path = b""
+        self._initial_weights = b""
         self._undecodable: dict[str, int] = {}  # key -> messages
         self._columns: dict[str, Columns] = {}
         self._handlers: dict[int, Callable[[int, bytes], None]] = {}
@@ -248,6 +253,7 @@ class _Collector:
             tuple(self._diagnostics),
             self._topics,
             tuple(self._notes),
+            self._initial_weights,
         )
 
     def _note_left_out(self, key: str, count: int, reason: str) -> None:
@@ -281,6 +287,7 @@ class _Collector:
         take = {
             "path": self._take_path,
             "configuration": self._take_configuration,
+            "initial_weights": self._take_initial_weights,
             "diagnostics": self._take_diagnostics,
         }[key]
 
@@ -306,6 +313,9 @@ class _Collector:
     def _take_configuration(self, time: int, message: Any) -> None:
         if not self._configurations or message.data != self._configurations[-1][1]:
             self._configurations.append((time, message.data))
+
+    def _take_initial_weights(self, time: int, message: Any) -> None:
+        self._initial_weights = bytes(message.data)
 
     def _take_diagnostics(self, time: int, message: Any) -> None:
         for status in message.status:

@@ -15,6 +15,7 @@ from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.weights_file import SavedWeights, decode
 
 _NEIGHBOURS = np.arange(-10, 10)  # commands about the one that arrived with a step
 _BEGINNING = 1_000_000_000  # [ns] in which a recording may lack commands
@@ -47,6 +48,7 @@ class Replay:
         recorded: The commands [v, w] in the bag, NaN where a step has none, shape (N, 2).
         outputs: What the follower gave, one for each step.
         cost: J at each step, shape (N,).
+        saved_weights: Digest of the weights file that it started from, empty without one.
 
     """
 
@@ -55,6 +57,7 @@ class Replay:
     recorded: FloatArray
     outputs: list[FollowerOutput]
     cost: FloatArray
+    saved_weights: str = ""
 
     @property
     def stamp(self) -> np.ndarray:
@@ -132,7 +135,8 @@ def replay(run: Run, settings: Settings | None = None) -> Replay:
     steps = Steps(steps.stamp[:count], steps.pose[:count], steps.arrival[:count])
     commands = np.array([output.command for output in outputs])
     recorded = _recorded(run.series.get("cmd_vel"), steps, commands)
-    return Replay(driver.follower, steps, recorded, outputs, np.array(cost))
+    start = driver.saved_weights
+    return Replay(driver.follower, steps, recorded, outputs, np.array(cost), start)
 
 
 def steps_of(run: Run) -> Steps:
@@ -170,7 +174,12 @@ def recorded_settings(run: Run) -> Settings:
 
 
 class RecordedDriver:
-    """Drives as the controller node did, from what it said about paths and parameters."""
+    """Drives as the controller node did, from what it said about paths and parameters.
+
+    Attributes:
+        saved_weights: Digest of the weights file that it starts from, empty without one.
+
+    """
 
     def __init__(self, run: Run, settings: Settings | None) -> None:
         """Take the paths and the changes of parameters; settings replace the recorded ones."""
@@ -183,7 +192,9 @@ class RecordedDriver:
         self._next = next(self._changes, None)
         if self._next is None and settings is None:
             raise FileError("the bag has no path_follower/configuration: replay it with --params")
-        self._driver = Driver(settings or self._upcoming.settings)
+        saved = _saved_weights(run, self._next)
+        self.saved_weights = "" if saved is None else saved.digest
+        self._driver = Driver(settings or self._upcoming.settings, saved)
         if self._next is None:
             self._driver.follow(self._paths[-1])
         else:
@@ -255,6 +266,27 @@ class RecordedDriver:
             if path.digest() == digest:
                 return path
         raise FileError(f"the bag has not the path {digest} that the controller followed")
+
+
+def _saved_weights(run: Run, first: Configuration | None) -> SavedWeights | None:
+    """Return the weights that a controller started from, of what it said first.
+
+    Raises:
+        FileError: They are not in the bag, or damaged.
+
+    """
+    if first is None or not first.saved_weights or first.learning_resets:
+        return None
+    if not run.initial_weights:
+        raise FileError(
+            "the bag lacks the weights that the controller started from "
+            "(path_follower/initial_weights): record that topic, too"
+        )
+    name = "path_follower/initial_weights in the bag"
+    saved = decode(run.initial_weights, name)
+    if saved.digest != first.saved_weights:
+        raise FileError(f"{name} is not what the controller started from: the bag is damaged")
+    return saved
 
 
 def _settings_of_odometry_steps(run: Run) -> Settings:

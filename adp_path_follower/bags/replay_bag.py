@@ -32,7 +32,12 @@ _KINDS = {
     "/path_follower/cost": "std_msgs/msg/Float64",
     "/path_follower/configuration": "std_msgs/msg/String",
 }
-_COPIED = ("odom", "path", "ground_truth")  # of the recorded run, with the bytes that it has
+_COPIED = (
+    "odom",
+    "path",
+    "ground_truth",
+    "initial_weights",
+)  # of the recorded run, with the bytes that it has
 
 # Arrival [ns], topic, serialised message.
 _Entry = tuple[int, str, bytes]
@@ -50,7 +55,7 @@ def write_replay(
     Args:
         found: The replay.
         source: The bag that was replayed.
-        topics: "odom", "path" and "ground_truth" -> their topics in `source`.
+        topics: "odom", "path" and others to be copied -> their topics in `source`.
         bag: The bag to make.
         velocity: v, w that the robot of a closed loop had at each step, shape (N, 2), whose
             odometry is then written in place of the recorded one.
@@ -61,7 +66,7 @@ def write_replay(
     """
     copied = [topics[key] for key in _COPIED if key in topics]
     if velocity is not None:
-        copied = [topics["path"]]
+        copied = [topics[key] for key in ("path", "initial_weights") if key in topics]
     writer = BagWriter(bag, {"replay_of": source.name}, chunked=True)
     numbers: dict[str, int] = {}
     with Reader(source) as reader:
@@ -86,7 +91,9 @@ def _recorded(reader: Reader, connections: list[Connection]) -> Iterator[_Entry]
 def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
     """Yield what the nodes would have published, step by step."""
     messages = _Messages(found.follower.settings.learning.value_basis.labels)
-    text = configuration_text(found.follower.settings, found.follower.path)
+    text = configuration_text(
+        found.follower.settings, found.follower.path, saved_weights=found.saved_weights
+    )
     first = int(found.steps.arrival[0])
     yield first, "/path_follower/configuration", messages.text(text)
     arrival = first

@@ -55,5 +55,6 @@ def rerun(run: Run, settings: Settings | None = None) -> tuple[Replay, FloatArra
     arrivals = recorded.arrival[0] + stamps[:count] - first
     steps = Steps(stamps[:count], np.array(poses), arrivals)
     nothing = np.full((count, 2), np.nan)
-    found = Replay(driver.follower, steps, nothing, outputs, np.array(cost))
+    start = driver.saved_weights
+    found = Replay(driver.follower, steps, nothing, outputs, np.array(cost), start)
     return found, np.array(velocities)

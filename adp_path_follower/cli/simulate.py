@@ -17,11 +17,17 @@ from adp_path_follower.cli.options import (
     start_options,
     write_json,
 )
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings
+from adp_path_follower.core.path import Path as PlanarPath
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.weights_file import read_weights
 from adp_path_follower.simulation import (
     LEARNING_MODES,
+    ControllerFactory,
     SimulationResult,
 )
 from adp_path_follower.simulation import (
@@ -46,6 +52,13 @@ _ROWS_SHOWN = 20
     "before the clock runs; frozen: never changed.",
 )
 @click.option(
+    "--weights",
+    "weights_file",
+    type=FILE,
+    metavar="FILE",
+    help="Start from weights that ~/save_weights of the controller wrote.",
+)
+@click.option(
     "--json", "json_file", type=FILE, metavar="FILE", help="Write the outcome of each run."
 )
 @click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the trajectories.")
@@ -59,6 +72,7 @@ def simulate(
     duration: float,
     rate: float,
     learning: str,
+    weights_file: Path | None,
     json_file: Path | None,
     npz_file: Path | None,
 ) -> None:
@@ -78,6 +92,9 @@ def simulate(
     path = named_path(path_name)
     errors = collect_starts(starts, starts_file)
     check_writable(json_file, npz_file)
+    make_controller: ControllerFactory = PathFollower
+    if weights_file is not None:
+        make_controller = _starting_from(weights_file, settings)
     with progress_bar(f"simulating {len(errors)} runs of {duration:g} s") as progress:
         result = run_simulation(
             settings,
@@ -87,6 +104,7 @@ def simulate(
             duration=duration,
             rate=rate,
             learning=learning,
+            controller=make_controller,
             record=npz_file is not None,
             progress=progress,
         )
@@ -96,6 +114,25 @@ def simulate(
         arrays = dict(vars(result.trajectories))
         np.savez_compressed(npz_file, starts=result.starts, **arrays)
     click.echo(_table(result))
+
+
+def _starting_from(file: Path, settings: Settings) -> ControllerFactory:
+    """Return what makes followers that start from a weights file.
+
+    Raises:
+        FileError: The file is none that these settings can start from.
+
+    """
+    saved, _ = read_weights(file, settings)
+
+    def make(settings: Settings, path: PlanarPath, arc_length: FloatArray) -> PathFollower:
+        follower = PathFollower(settings, path, arc_length)
+        problem = follower.start_from(saved)
+        if problem:
+            raise FileError(f"weights file {file} does not hold for this path: {problem}")
+        return follower
+
+    return make
 
 
 def _runs(result: SimulationResult) -> list[dict[str, object]]:

@@ -24,6 +24,7 @@ from adp_path_follower.core.bellman import BellmanErrors
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.knot_model import KnotFit, KnotModel, NormalEquations, fit
 from adp_path_follower.core.learner import (
+    LearnedWeights,
     Learner,
     LocalWeights,
     Weights,
@@ -40,8 +41,10 @@ _MOST_SPREAD = 500  # knots between robots of a batch that learn together
 _FARTHEST = 1e12  # knots
 _MOST_RESIDUAL = 0.5  # of the running cost: a critic that explains less is refused
 _LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular matrix
+_SAME_CURVATURE = 1e-3  # [1/m], and relative: a path that differs less is the same
+_SAME_LENGTH = 1e-4  # relative
 _CURVATURE_NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvature
-_MODEL = (  # settings that decide what is learned
+MODEL_SETTINGS = (  # that decide what is learned
     "basis",
     "basis_degree",
     "frame",
@@ -205,11 +208,62 @@ class ArcLengthLearner:
         old, new = previous._settings, self._settings
         if (old.target, old.cost, old.limits) != (new.target, new.cost, new.limits):
             return
-        if any(getattr(old.learning, name) != getattr(new.learning, name) for name in _MODEL):
+        if any(
+            getattr(old.learning, name) != getattr(new.learning, name) for name in MODEL_SETTINGS
+        ):
             return
         self._critic, self._actor = previous._critic, previous._actor
         self._curvatures = previous._curvatures
         self._owner, self._reach = previous._owner, previous._reach
+
+    def learned(self) -> LearnedWeights:
+        """Return the weights at the knots where something was learned."""
+        known = self._owner != np.iinfo(np.int64).min
+        sound = np.isfinite(self._critic).all(axis=1) & np.isfinite(self._actor).all(axis=1)
+        slots = np.flatnonzero(known & sound)
+        knots = self._owner[slots]
+        if self._path.closed:  # every lap begins anew
+            knots = knots % max(1, round(self._path.length / self._spacing))
+        order = np.argsort(knots)
+        slots = slots[order]
+        return LearnedWeights(
+            length=self._path.length,
+            closed=self._path.closed,
+            reach=self._reach,
+            knots=knots[order],
+            curvature=self._curvatures[slots],
+            critic=self._critic[slots],
+            actor=self._actor[slots],
+        )
+
+    def start_from(self, learned: LearnedWeights) -> str:
+        """Go on from the weights of a run on a path of the same curvature, wherever it lay.
+
+        Returns:
+            Why this path is another one, empty if it is not.
+
+        """
+        path, knots = self._path, learned.knots
+        if learned.closed != path.closed or not math.isclose(
+            learned.length, path.length, rel_tol=_SAME_LENGTH
+        ):
+            kinds = {True: "a closed", False: "an open"}
+            return (
+                f"they were learned along {kinds[learned.closed]} path of {learned.length:.2f} m, "
+                f"and this is {kinds[path.closed]} one of {path.length:.2f} m"
+            )
+        if not np.allclose(
+            self._curvature(knots), learned.curvature, rtol=_SAME_CURVATURE, atol=_SAME_CURVATURE
+        ):
+            return "they were learned along a path that bends elsewhere than this one"
+        slots = knots % len(self._owner)
+        if len(np.unique(slots)) < len(knots):
+            return "they hold more places of the path than are remembered"
+        self._owner[slots] = knots
+        self._curvatures[slots] = learned.curvature
+        self._critic[slots], self._actor[slots] = learned.critic, learned.actor
+        self._reach = min(learned.reach, self._window)
+        return ""
 
     def _begin(self, near: int, far: int) -> None:
         """Begin a sweep from the Riccati solution at knot `far` down to knot `near`."""

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
 from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.weights_file import SavedWeights
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of settings that is ready to be taken over."""
+
+    settings: Settings
+    follower: PathFollower | None
 
 
 class Driver:
@@ -19,12 +32,26 @@ class Driver:
         path: The path to follow, None without one.
         learning_resets: How often learning has been reset.
         restarts: How often following has begun anew from where the robot was then.
+        saved_weights: Weights of another run to start from, None without.
 
     """
 
-    def __init__(self, settings: Settings) -> None:
-        """Begin without a path."""
+    def __init__(
+        self,
+        settings: Settings,
+        saved_weights: SavedWeights | None = None,
+        tell: Callable[[str], object] = bool,
+    ) -> None:
+        """Begin without a path.
+
+        Args:
+            settings: All settings.
+            saved_weights: Weights of another run to start from, on paths for which they hold.
+            tell: Called with a sentence where they do not.
+
+        """
         self.settings = settings
+        self.saved_weights, self._tell = saved_weights, tell
         self.path: Path | None = None
         self.learning_resets = 0
         self.restarts = 0
@@ -56,15 +83,29 @@ class Driver:
             SettingsError: No policy can be found for them; the present ones stay.
 
         """
-        if settings == self.settings:
-            return
+        self.take_over(self.prepared(settings))
+
+    def prepared(self, settings: Settings) -> Change:
+        """Return the change to other settings, which `take_over` makes at once.
+
+        Raises:
+            SettingsError: No policy can be found for them.
+
+        """
+        same_motion = dataclasses.replace(settings, controller=self.settings.controller)
+        if self._follower is None or same_motion == self.settings:
+            return Change(settings, self._follower)
+        return Change(settings, self._follower.reconfigured(settings))
+
+    def take_over(self, change: Change) -> None:
+        """Go on with a change that was prepared since the last step."""
+        self.settings, self._follower = change.settings, change.follower
         if self._follower is not None:
-            self._follower = self._follower.reconfigured(settings)
-        self.settings = settings
+            self._follower.settings = change.settings
 
     def reset_learning(self) -> None:
-        """Return to the initial weights."""
-        self._learned = None
+        """Return to the initial weights of the settings, also where there were saved ones."""
+        self._learned = self.saved_weights = None
         if self._follower is not None:
             self._follower.reset_learning()
         self.learning_resets += 1
@@ -95,6 +136,13 @@ class Driver:
         beginning = self.settings.controller.path_start == "beginning"
         arc_length = 0.0 if beginning else self.path.nearest(pose)
         follower = PathFollower(self.settings, self.path, arc_length)
+        if self.saved_weights is not None:
+            problem = follower.start_from(self.saved_weights)
+            if problem:
+                self._tell(
+                    f"the weights of 'weights_file' are not used on this path: {problem}; learning "
+                    "starts from the initial weights"
+                )
         if self._learned is not None:
             follower.take_over(self._learned)
         self._follower, self._learned = follower, None

@@ -19,6 +19,7 @@ from adp_path_follower.core.path_state_learner import PathStateLearner
 from adp_path_follower.core.policy import actor_input, saturate
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.weights_file import SavedWeights, difference, problem_settings
 from adp_path_follower.core.wide_region import WideRegion
 
 _MOST_DOUBT = 0.5  # above it, it is the Riccati policy that drives
@@ -283,6 +284,14 @@ class PathFollower:
         the better start.
         """
         self._learner.take_over(previous._learner)
+
+    def saved_weights(self) -> SavedWeights:
+        """Return what was learned and what it belongs to, for a weights file."""
+        return SavedWeights(problem_settings(self.settings), self._learner.learned())
+
+    def start_from(self, saved: SavedWeights) -> str:
+        """Go on from the weights of another run; return why they do not hold here, if so."""
+        return difference(saved, self.settings) or self._learner.start_from(saved.learned)
 
     def reconfigured(self, settings: Settings) -> PathFollower:
         """Return a follower with other settings at the same place that has taken over from this."""

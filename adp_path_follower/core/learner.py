@@ -52,6 +52,30 @@ class LocalWeights:
     slope: FloatArray | None = None
 
 
+@dataclass(frozen=True)
+class LearnedWeights:
+    """All that a learner has learned, to go on from in another run.
+
+    Attributes:
+        length: Of the path that it was learned on [m].
+        closed: Whether that path ends where it starts.
+        reach: How many knots ahead the next sweep reaches.
+        knots: Numbers of the places along the path, rising, shape (K,).
+        curvature: kappa [1/m] of the path there, shape (K,).
+        critic: Critic weights there, shape (K, L).
+        actor: Actor weights there, shape (K, L).
+
+    """
+
+    length: float
+    closed: bool
+    reach: int
+    knots: np.ndarray
+    curvature: FloatArray
+    critic: FloatArray
+    actor: FloatArray
+
+
 class Evidence(Protocol):
     """What the samples say of the weights."""
 
@@ -94,6 +118,12 @@ class Learner(Protocol):
 
     def take_over(self, previous: Learner) -> None:
         """Take over what another learner has learned, as far as it holds for this one."""
+
+    def learned(self) -> LearnedWeights:
+        """Return what was learned, to go on from in another run."""
+
+    def start_from(self, learned: LearnedWeights) -> str:
+        """Go on from what another run has learned; return why it does not hold here, if so."""
 
     def reset(self, where: np.ndarray | None = None) -> None:
         """Return to the initial weights, of the runs of a batch where (...) is true."""

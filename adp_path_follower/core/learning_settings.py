@@ -9,7 +9,8 @@ from adp_path_follower.core.basis import BASES, FRAMES, Basis, make_basis
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.schema import POSITIVE, setting
 
-_STRUCTURE = "the learner's arrays are sized by it"
+_STRUCTURE = "the weights, and the topics that publish them, are those of its terms"
+_SCHEDULE = "no weights can go from one learner to the other"
 # Of s², s y, s θ, y², y θ, θ²: the Riccati solution for the default speed, gains and cost on a
 # straight line.
 _QUADRATIC_WEIGHTS = (0.905, 0.0, 0.0, 2.8284, 2.0, 1.4142)
@@ -49,14 +50,13 @@ class LearningSettings:
         "How the value function knows the path: by weights that change along it, learned for what "
         "lies ahead of the robot, or by φ among the variables of the basis (the paper's).",
         choices=SCHEDULINGS,
-        read_only=_STRUCTURE,
+        read_only=_SCHEDULE,
     )
     critic: str = setting(
         "least_squares",
         "How the critic learns: by solving for the weights with the least Bellman errors, or by "
         "the paper's normalised gradient.",
         choices=("least_squares", "gradient"),
-        read_only=_STRUCTURE,
     )
     critic_gain_measured: float = setting(
         0.0,
@@ -104,7 +104,6 @@ class LearningSettings:
         lengths=(4,),
         low=1,
         high=50,
-        read_only=_STRUCTURE,
     )
     sample_count: int = setting(
         384,
@@ -113,7 +112,6 @@ class LearningSettings:
         symbol="N",
         low=16,
         high=65536,
-        read_only=_STRUCTURE,
     )
     samples_per_step: int = setting(
         160,
@@ -121,18 +119,14 @@ class LearningSettings:
         "preview, so many must do for each knot.",
         low=1,
         high=65536,
-        read_only=_STRUCTURE,
     )
-    sample_seed: int = setting(
-        0, "Seed of the scattered samples.", low=0, high=999_999, read_only=_STRUCTURE
-    )
+    sample_seed: int = setting(0, "Seed of the scattered samples.", low=0, high=999_999)
     knot_spacing: float = setting(
         0.2,
         "Distance along the path between two sets of weights, for scheduling: arc_length.",
         unit="m",
         low=0.01,
         high=10.0,
-        read_only=_STRUCTURE,
     )
     preview_distance: float = setting(
         2.4,
@@ -140,7 +134,6 @@ class LearningSettings:
         unit="m",
         low=0.02,
         high=100.0,
-        read_only=_STRUCTURE,
     )
     initial_weights: str = setting(
         "riccati",

@@ -9,6 +9,7 @@ import numpy as np
 from adp_path_follower.core.bellman import BellmanErrors, SampledModel
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learner import (
+    LearnedWeights,
     Learner,
     LocalWeights,
     Weights,
@@ -41,7 +42,7 @@ class PathStateLearner:
         self, settings: Settings, path: Path, riccati: RiccatiSchedule, weights: Weights | None
     ) -> None:
         """Start from weights, by default from the initial ones of the settings."""
-        self._learning = settings.learning
+        self._learning, self._path = settings.learning, path
         self._model = SampledModel(settings, path)
         self._initial = initial_weights(settings.learning, riccati, np.zeros(()))
         self.weights = self._initial if weights is None else weights
@@ -102,6 +103,20 @@ class PathStateLearner:
             previous._learning.value_basis is self._learning.value_basis
         ):
             self.weights = previous.weights
+
+    def learned(self) -> LearnedWeights:
+        """Return the weights, as if of one place: they are the same everywhere."""
+        critic, actor = self.weights.critic[None], self.weights.actor[None]
+        nowhere = np.zeros(1, np.int64)
+        length, closed = self._path.length, self._path.closed
+        return LearnedWeights(length, closed, 0, nowhere, np.zeros(1), critic, actor)
+
+    def start_from(self, learned: LearnedWeights) -> str:
+        """Go on from the weights of another run, on whatever path."""
+        if len(learned.knots) != 1:
+            return f"it holds {len(learned.knots)} sets of weights, not one"
+        self.weights = Weights(learned.critic[0], learned.actor[0])
+        return ""
 
     def reset(self, where: np.ndarray | None = None) -> None:
         """Return to the initial weights, of the runs of a batch where (...) is true."""

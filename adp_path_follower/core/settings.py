@@ -13,7 +13,8 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning_settings import LearningSettings, PolicySettings
 from adp_path_follower.core.schema import POSITIVE, setting
 
-_WIRING = "the node's topics and timers are made from it"
+_WIRING = "the node's topics are made from it"
+_TIMER = "the control timer is made from it"
 
 
 def _matrix(name: str, values: tuple[float, ...], size: int) -> FloatArray:
@@ -140,14 +141,14 @@ class ControllerSettings:
         unit="Hz",
         low=1.0,
         high=1000.0,
-        read_only=_WIRING,
+        read_only=_TIMER,
     )
     control_trigger: str = setting(
         "timer",
         "What starts a control step: a timer at controller_frequency, or every odometry message "
         "(the lock-step simulation needs it).",
         choices=("timer", "odometry"),
-        read_only=_WIRING,
+        read_only=_TIMER,
     )
     path_start: str = setting(
         "nearest",
@@ -186,6 +187,16 @@ class ControllerSettings:
         True,
         "Publish geometry_msgs/TwistStamped; false publishes geometry_msgs/Twist.",
         read_only=_WIRING,
+    )
+    weights_file: str = setting(
+        "",
+        "File of learned weights to start from, which ~/save_weights wrote; empty starts from "
+        "initial_weights.",
+        read_only="it is read once, at the start",
+    )
+    save_weights_to: str = setting(
+        "adp_weights.npz",
+        "File that ~/save_weights writes, in the node's working directory unless it says where.",
     )
     autostart: bool = setting(
         True,

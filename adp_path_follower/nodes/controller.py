@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import time as steady
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
@@ -32,9 +32,10 @@ from adp_path_follower.nodes.conversions import (
     path_of,
     wrong_frame,
 )
-from adp_path_follower.nodes.parameters import changed_settings, declare_settings
+from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
 from adp_path_follower.nodes.run import Ending, run_node
 from adp_path_follower.nodes.telemetry import Telemetry
+from adp_path_follower.nodes.weights import WeightsFiles
 
 NODE_NAME = "path_follower"
 
@@ -49,7 +50,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Declare the parameters; the rest waits for the lifecycle."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         self._settings = declare_settings(self, Settings)
-        self.add_on_set_parameters_callback(self._change_parameters)
+        LiveSettings(self, self._settings, self._prepare_settings)
+        self._weights = WeightsFiles(self, self._settings, lambda: self._driver)
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._commands: Commands | None = None
         self._entities: list[tuple[Any, Any]] = []
@@ -60,7 +62,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _forget_run(self) -> None:
         """Return to the state before any message."""
-        self._driver = Driver(self._settings)
+        self._driver = Driver(self._settings, self._weights.saved, self.get_logger().warning)
         self._path_frame = ""
         self._path_problem = ""
         self._measurement: Measurement | None = None
@@ -102,6 +104,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             (self.destroy_subscription, path),
             *((self.destroy_service, service) for service in (reset, stop, resume)),
             (self.destroy_timer, watchdog),
+            *self._weights.entities(),
         ]
         if controller.control_trigger == "timer":
             timer = self.create_timer(1.0 / controller.controller_frequency, self._on_timer)
@@ -219,18 +222,23 @@ class PathFollowerNode(Ending, LifecycleNode):
         self.get_logger().error(f"path refused: {problem}")
         self._publish_diagnostics()
 
-    def _change_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Check a change of parameters as a whole; take it over between two steps, or refuse."""
-        try:
-            settings = changed_settings(self._settings, parameters)
-            self._driver.change_settings(settings)
-        except SettingsError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        if settings != self._settings:
+    def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
+        """Return what takes over other settings between two steps.
+
+        Raises:
+            SettingsError: No policy can be found for them.
+
+        """
+        with self._commands.control_step() if self._commands else contextlib.nullcontext():
+            change = self._driver.prepared(settings)
+
+        def take_over() -> None:
+            self._driver.take_over(change)
             self._settings = settings
             self._supervisor.odom_timeout = settings.controller.odom_timeout
             self._publish_configuration()
-        return SetParametersResult(successful=True)
+
+        return take_over
 
     def _reset_learning(
         self, request: Trigger.Request, response: Trigger.Response
@@ -368,7 +376,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         driver, after = self._driver, NO_STEP if self._step_time is None else self._step_time
         self._telemetry.configuration(
             configuration_text(
-                driver.settings, driver.path, after, driver.learning_resets, driver.restarts
+                *(driver.settings, driver.path, after, driver.learning_resets, driver.restarts),
+                self._weights.digest,
             )
         )
 

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.parameter_file import own_parameters
-from adp_path_follower.core.schema import SettingField, build, flatten, setting_fields, update
+from adp_path_follower.core.schema import (
+    SettingField,
+    build,
+    checked,
+    flatten,
+    setting_fields,
+    update,
+)
 
 Tree = TypeVar("Tree")
 
@@ -37,14 +51,67 @@ def declare_settings(node: Node, tree: type[Tree]) -> Tree:
     return settings
 
 
-def changed_settings(current: Tree, parameters: list[Parameter]) -> Tree:
-    """Return the settings after a change of parameters.
+class LiveSettings(Generic[Tree]):
+    """Parameters that change while a node runs: checked as a set, then taken over at once.
 
-    Raises:
-        SettingsError: A value is of the wrong type, out of range, or does not fit the others.
-
+    ROS asks first whether it may change some parameters, and tells when it has. What another
+    callback refuses in between must leave the node as it was, so the change is prepared when ROS
+    asks, and taken over when it tells.
     """
-    return update(current, own_values(parameters))
+
+    def __init__(
+        self, node: Node, settings: Tree, prepare: Callable[[Tree], Callable[[], None]]
+    ) -> None:
+        """Take part in every change of the node's parameters.
+
+        Args:
+            node: The node, whose settings are declared.
+            settings: The present ones.
+            prepare: Returns what takes over other settings at once; raises AdpError where there
+                is no way.
+
+        """
+        self._settings, self._prepare = settings, prepare
+        self._fields = {field.name: field for field in setting_fields(type(settings))}
+        self._prepared: tuple[Tree, Callable[[], None]] | None = None
+        node.add_pre_set_parameters_callback(self._typed)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._take_over)
+
+    def _typed(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Return the parameters with integers as numbers where the setting is one.
+
+        So a dump of the node's parameters has the same types as its parameter file.
+        """
+        return [self._as_numbers(parameter) for parameter in parameters]
+
+    def _as_numbers(self, parameter: Parameter) -> Parameter:
+        field = self._fields.get(parameter.name)
+        if field is None or float not in (field.kind, field.item_kind):
+            return parameter
+        try:
+            if parameter.type_ in (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY):
+                return Parameter(parameter.name, value=_ros_value(checked(field, parameter.value)))
+        except SettingsError:  # it is refused in a moment, with all others
+            pass
+        return parameter
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse a change with one sentence, or prepare it."""
+        self._prepared = None
+        try:
+            settings = update(self._settings, own_values(parameters))
+            if settings != self._settings:
+                self._prepared = settings, self._prepare(settings)
+        except AdpError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_over(self, parameters: list[Parameter]) -> None:
+        if self._prepared is not None:
+            self._settings, take_over = self._prepared
+            self._prepared = None
+            take_over()
 
 
 def own_values(parameters: list[Parameter]) -> dict[str, object]:

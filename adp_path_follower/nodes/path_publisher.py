@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from nav_msgs.msg import Path as PathMessage
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path_library import PATH_HELP, named_path
 from adp_path_follower.core.schema import setting
 from adp_path_follower.nodes.conversions import path_message
-from adp_path_follower.nodes.parameters import changed_settings, declare_settings
+from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
 from adp_path_follower.nodes.run import Ending, run_node
 
 NODE_NAME = "path_publisher"
@@ -49,7 +47,7 @@ class PathPublisherNode(Ending, Node):
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._publisher = self.create_publisher(PathMessage, "path", latched)
         self._publish(settings, message)
-        self.add_on_set_parameters_callback(self._change_parameters)
+        LiveSettings(self, settings, self._prepare_settings)
 
     def _message(self, settings: PathPublisherSettings) -> PathMessage:
         published = settings.path_publisher
@@ -58,19 +56,13 @@ class PathPublisherNode(Ending, Node):
         return path_message(path, published.frame_id, time, published.spacing)
 
     def _publish(self, settings: PathPublisherSettings, message: PathMessage) -> None:
-        self._settings = settings
         self._publisher.publish(message)
         name = settings.path_publisher.path
         self.get_logger().info(f"published path '{name}': {len(message.poses)} poses")
 
-    def _change_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        try:
-            settings = changed_settings(self._settings, parameters)
-            if settings != self._settings:
-                self._publish(settings, self._message(settings))
-        except AdpError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+    def _prepare_settings(self, settings: PathPublisherSettings) -> Callable[[], None]:
+        message = self._message(settings)
+        return lambda: self._publish(settings, message)
 
 
 def main() -> int:

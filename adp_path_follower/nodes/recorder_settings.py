@@ -22,6 +22,7 @@ RUN_TOPICS = (
     "path_follower/excitation",
     "path_follower/cost",
     "path_follower/configuration",
+    "path_follower/initial_weights",
     "/diagnostics",
 )
 

@@ -1,0 +1,175 @@
+"""`~/save_weights` and `weights_file` with real nodes, and recordings of such runs."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import Drive, Peer
+from geometry_msgs.msg import TwistStamped
+from std_srvs.srv import Trigger
+
+from adp_path_follower.bags.reader import read_run
+from adp_path_follower.bags.replay import replay
+from adp_path_follower.bags.replay_bag import write_replay
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.schema import build, update
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.weights_file import encode, read_weights
+
+pytestmark = pytest.mark.nodes
+
+PERIOD = 0.02  # [s]
+
+
+class Stepwise:
+    """A controller that answers each odometry message of the test with one command."""
+
+    def __init__(self, peer: Peer, start, begin: int, **parameters) -> None:
+        """Start the controller; the first odometry has the stamp `begin` [s]."""
+        self.peer, self.time = peer, round(begin / PERIOD)
+        self.commands = peer.listen(TwistStamped, "cmd_vel")
+        self.node = start("controller", control_trigger="odometry", use_sim_time=True, **parameters)
+        peer.until_matched(peer.odometry, peer.path)
+        peer.send_path("circle:0.7")
+        peer.until(lambda: "new path" in self.node.output(), "the path")
+
+    def answer(self, pose: tuple[float, float, float]) -> tuple[float, float]:
+        """Return v, w that answer a pose, one period after the last."""
+        self.time += 1
+        stamp = round(1e9 * self.time * PERIOD)
+        self.peer.send_odometry(pose, stamp=1e-9 * stamp)
+
+        def answers():
+            return [
+                command.twist
+                for command in self.commands
+                if 10**9 * command.header.stamp.sec + command.header.stamp.nanosec == stamp
+            ]
+
+        self.peer.until(answers, "an answer")
+        return answers()[-1].linear.x, answers()[-1].angular.z
+
+
+@pytest.mark.parametrize("scheduling", ["arc_length", "path_state"])
+def test_the_next_run_commands_what_this_one_would_have(peer, start, tmp_path, scheduling):
+    file = tmp_path / "weights.npz"
+    settings = {"scheduling": scheduling, "basis_degree": 4, "save_weights_to": str(file)}
+    first = Stepwise(peer, start, 1000, **settings)
+    for _ in range(100):
+        first.answer((0.1, 0.1, 0.2))
+    saved = peer.call(Trigger, "path_follower/save_weights")
+    assert saved.success, saved.message
+    assert str(file) in saved.message
+    assert peer.call(Trigger, "path_follower/resume").success  # begins anew, as a new run does
+    poses = [(0.3, 0.05, 0.1), (0.31, 0.06, 0.12), (0.32, 0.06, 0.14)]
+    expected = [first.answer(pose) for pose in poses]
+    assert first.node.stop() == 0
+
+    cold = Stepwise(peer, start, 2000, **settings)
+    assert [cold.answer(pose) for pose in poses] != expected
+    assert cold.node.stop() == 0
+
+    second = Stepwise(peer, start, 3000, **settings, weights_file=str(file))
+    assert [second.answer(pose) for pose in poses] == expected
+    assert f"weights to start from: {file}" in second.node.output()
+    assert "not used" not in second.node.output()
+
+
+def test_saving_while_driving(peer, start, tmp_path):
+    drive = Drive(peer, start, save_weights_to=str(tmp_path / "none" / "weights.npz"))
+    answer = peer.call(Trigger, "path_follower/save_weights")
+    assert not answer.success
+    assert "cannot be written: No such file or directory; set 'save_weights_to'" in answer.message
+    file = tmp_path / "weights.npz"
+    assert peer.set_parameter("path_follower", "save_weights_to", str(file)).successful
+    for _ in range(3):
+        assert peer.call(Trigger, "path_follower/save_weights").success
+    read_weights(file, build(Settings, {}))
+    assert [entry.name for entry in tmp_path.glob("*weights*")] == ["weights.npz"]
+    drive.until_moving()
+
+
+def test_nothing_to_save_before_the_first_step(peer, start):
+    start("controller")
+    answer = peer.call(Trigger, "path_follower/save_weights")
+    assert not answer.success
+    assert "nothing was learned yet" in answer.message
+
+
+@pytest.fixture
+def weights(tmp_path):
+    """Return a weights file for the default settings along the circle."""
+    from adp_path_follower.core.driver import Driver
+    from adp_path_follower.core.path_library import named_path
+
+    driver = Driver(build(Settings, {}))
+    driver.follow(named_path("circle:0.7"))
+    for step in range(100):
+        driver.step(np.array([0.1, 0.1, 0.2]), step * 20_000_000)
+    file = tmp_path / "weights.npz"
+    file.write_bytes(encode(driver.follower.saved_weights()))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("damage", "parameters", "told"),
+    [
+        (lambda file: None, {"desired_speed": 0.3}, "belongs to other settings: learned with"),
+        (lambda file: file.unlink(), {}, "cannot be read: No such file"),
+        (lambda file: file.write_bytes(b"x" * 99), {}, "is no weights file, or is damaged"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused_at_the_start(start, weights, damage, parameters, told):
+    damage(weights)
+    node = start("controller", weights_file=str(weights), **parameters)
+    assert node.process.wait(30.0) == 2
+    sentences = [line for line in node.output().splitlines() if "[FATAL]" in line]
+    assert len(sentences) == 1
+    assert f"weights file {weights} {told}" in sentences[0]
+
+
+def test_another_path_starts_from_the_riccati_solution_with_a_warning(peer, start, weights):
+    drive = Drive(peer, start, weights_file=str(weights))  # along a line
+    warnings = [line for line in drive.controller.output().splitlines() if "[WARN]" in line]
+    assert len(warnings) == 1
+    assert "the weights of 'weights_file' are not used on this path: they were" in warnings[0]
+
+
+def test_a_recording_of_a_warm_start_replays_to_the_last_bit(peer, start, weights, tmp_path):
+    recorder = start("recorder", output=str(tmp_path / "bag"))
+    controller = start("controller", weights_file=str(weights))
+    start("sim_unicycle", x=0.1, y=0.2)
+    start("path_publisher", path="circle:0.7")
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    heard = ("cmd_vel", "path", "path_follower/initial_weights", "path_follower/measured_pose")
+    peer.until(
+        lambda: all(f"recording /{topic}\n" in recorder.output() for topic in heard),
+        "the recorder",
+    )
+    peer.until(lambda: any(command.twist.linear.x > 0.1 for command in commands), "commands")
+    count = len(commands)
+    peer.until(lambda: len(commands) > count + 100, "a hundred commands")
+    for node in (controller, recorder):
+        node.stop()
+    bag = tmp_path / "bag"
+    run = read_run(bag)
+    assert run.initial_weights == weights.read_bytes()
+    found = replay(run)
+    assert found.answered.sum() > 100
+    assert found.identical[found.answered].all()
+    all_weights = found.identical_weights(run)
+    assert all_weights is not None
+    assert all_weights.all()
+    with pytest.raises(FileError, match="lacks the weights that the controller started from"):
+        replay(dataclasses.replace(run, initial_weights=b""))
+    with pytest.raises(FileError, match="is no weights file, or is damaged"):
+        replay(dataclasses.replace(run, initial_weights=b"x"))
+    # With a slower learner it is another run, which is written and replays as such.
+    other = replay(run, update(found.follower.settings, {"actor_gain": 1.0}))
+    assert not other.identical.all()
+    write_replay(other, bag, run.topics, tmp_path / "again")
+    again = read_run(tmp_path / "again")
+    assert replay(again).identical.all()
+    assert not replay(dataclasses.replace(again, configurations=run.configurations)).identical.all()
