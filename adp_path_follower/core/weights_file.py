@@ -88,7 +88,7 @@ def encode(saved: SavedWeights) -> bytes:
     content = io.BytesIO()
     arrays = {name: getattr(learned, name).astype(kind) for name, kind in _ARRAYS.items()}
     head = np.frombuffer("\n".join(lines).encode(), np.uint8)
-    np.savez(content, allow_pickle=False, head=head, **arrays)
+    np.savez(content, head=head, **arrays)
     return content.getvalue()
 
 

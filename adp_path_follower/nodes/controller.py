@@ -143,6 +143,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Tell the robot to stop before the node goes, or gives it over."""
         if self._commands is not None:
             self._commands.last_words()
+            self._supervisor.active = False
+            self._update_status()  # the last that ~/status and /diagnostics say
 
     def _destroy_entities(self) -> None:
         for destroy, entity in self._entities:
@@ -349,7 +351,11 @@ class PathFollowerNode(Ending, LifecycleNode):
         leaves = self._shown.state is State.FOLLOWING and self._supervisor.active
         if leaves and self._commands is not None:
             self._commands.stop()
-        self._shown, self._shown_since = status, self._now()
+        same_state, self._shown = status.state is self._shown.state, status
+        if same_state and now < self._next_diagnostics:
+            return status  # a cause that changes with every message is no news with each
+        if not same_state:
+            self._shown_since = self._now()
         text = ": ".join(filter(None, [status.state.value, status.cause]))
         if status.state is State.FAULT:
             self.get_logger().error(f"{text}; {status.remedy}")
@@ -364,11 +370,13 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._commands is None:
             return
         self._next_diagnostics = steady.monotonic() + 1.0
-        values = {"version": __version__, "since [s]": f"{self._shown_since * 1e-9:.3f}"}
+        values = {"version": __version__}
         if self._driver.follower is not None:
             values["arc_length [m]"] = f"{float(self._driver.follower.arc_length):.3f}"
             values["cost"] = f"{float(self._driver.follower.cost):.6g}"
-        self._telemetry.diagnostics(self._now(), self._shown, self._path_problem, values)
+        self._telemetry.diagnostics(
+            self._now(), self._shown, self._shown_since, self._path_problem, values
+        )
 
     def _publish_configuration(self) -> None:
         if self._commands is None:

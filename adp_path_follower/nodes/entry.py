@@ -1,7 +1,7 @@
 """Entry points of the executables.
 
-They take over SIGINT and SIGTERM before rclpy is imported (half a second in which Python would
-answer with a traceback) and import the node only then.
+They take over the signals that end a node before rclpy is imported (half a second in which Python
+would answer with a traceback) and import the node only then.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import signal
 import sys
 from types import FrameType
 
+from adp_path_follower.nodes.stop_request import ending_signals
 from adp_path_follower.threads import use_one_blas_thread
 
 
@@ -20,7 +21,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 def _main(module: str) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         signal.signal(number, _leave)
     use_one_blas_thread()
     try:

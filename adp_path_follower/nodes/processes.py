@@ -81,7 +81,7 @@ class NodeProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,
+                process_group=0,  # not a session: a node outlives whoever starts it in one
             )
 
     def output(self) -> str:

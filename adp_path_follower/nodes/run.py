@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time as steady
 from collections.abc import Callable
-from types import FrameType
-from typing import Protocol
+from typing import Any, Protocol
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -16,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from adp_path_follower.core.errors import AdpError, SettingsError
+from adp_path_follower.nodes.stop_request import StopRequest
 
 
 class RunnableNode(Protocol):
@@ -28,22 +27,6 @@ class RunnableNode(Protocol):
 
     def last_words(self) -> None:
         """Publish what must be said before the node goes; called once, whatever happened."""
-
-
-class _StopSignal:
-    """Remember SIGINT and SIGTERM.
-
-    rclpy's own handlers shut the context down at once, after which nothing can be published; the
-    robot must be told to stop first.
-    """
-
-    def __init__(self) -> None:
-        self.received = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._receive)
-
-    def _receive(self, number: int, frame: FrameType | None) -> None:
-        self.received = True
 
 
 class Ending:
@@ -60,12 +43,12 @@ class Ending:
 
 
 def run_node(name: str, make_node: Callable[[], Node]) -> int:
-    """Spin a node until a signal or until it is finished; return the exit code.
+    """Spin a node until it is asked to stop or is finished; return the exit code.
 
     0 after a regular end, 1 after an error while running, 2 if the node refused its settings.
     Errors are logged as one sentence.
     """
-    stop = _StopSignal()
+    stop = StopRequest()
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rcl raises several types for arguments that it cannot parse
@@ -75,13 +58,16 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
     node: Node | None = None
     try:
         node = _made(make_node)
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        while not stop.received and not node.finished and rclpy.ok():
-            executor.spin_once(timeout_sec=0.1)
-        end = steady.monotonic()
-        while node.lingers(steady.monotonic() - end) and rclpy.ok():
-            executor.spin_once(timeout_sec=0.05)
+        try:
+            _spin(node, stop)
+        finally:
+            if rclpy.ok():
+                node.last_words()  # before anything else that takes time, as logging does
+        if stop.orphaned:
+            get_logger(name).warning(
+                "the process that started this node has ended, and so does the node: start it with "
+                "nohup or setsid to outlive its parent"
+            )
     except ExternalShutdownException:
         pass
     except AdpError as error:
@@ -92,14 +78,21 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
         code = 1
     finally:
         if node is not None:
-            if rclpy.ok():
-                node.last_words()
             node.destroy_node()
         rclpy.try_shutdown()
-        # A second signal while Python finalises would change the exit code.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        stop.ignore_more()
     return code
+
+
+def _spin(node: Any, stop: StopRequest) -> None:
+    """Let the node work until it is asked to stop or is finished, and for as long as it lingers."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while not stop.received and not node.finished and rclpy.ok():
+        executor.spin_once(timeout_sec=0.1)
+    end = steady.monotonic()
+    while node.lingers(steady.monotonic() - end) and rclpy.ok():
+        executor.spin_once(timeout_sec=0.05)
 
 
 def _made(make_node: Callable[[], Node]) -> Node:

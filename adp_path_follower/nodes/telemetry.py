@@ -57,6 +57,8 @@ class Telemetry:
         self._lossless = lossless
         self._logger = node.get_logger()
         self._learning_problem = ""
+        self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self._last_status: DiagnosticStatus | None = None
         self._name = node.get_fully_qualified_name()  # two robots share /diagnostics
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._configuration = node.create_publisher(String, "~/configuration", ALL_CHANGES)
@@ -96,8 +98,8 @@ class Telemetry:
 
     def destroy(self, node: Node) -> None:
         """Destroy the publishers."""
-        others = (self._markers, self._configuration, self._diagnostics, self._pose)
-        for publisher in (*others, *(publisher for publisher, _ in self._steps)):
+        others = (self._markers, self._configuration, self._diagnostics, self._status)
+        for publisher in (*others, self._pose, *(publisher for publisher, _ in self._steps)):
             node.destroy_publisher(publisher)
 
     def step(
@@ -156,10 +158,22 @@ class Telemetry:
         self,
         time: int,
         status: Status,
+        since: int,
         path_problem: str,
         values: dict[str, str],
     ) -> None:
-        """Publish state and cause, whether the last path was refused, and how learning goes."""
+        """Publish state and cause, whether the last path was refused, and how learning goes.
+
+        On /diagnostics always, with all values; on ~/status, which is latched, when it changes.
+
+        Args:
+            time: Present time [ns].
+            status: State, cause and remedy.
+            since: When the state began [ns].
+            path_problem: Why the last path was refused, empty if it was not.
+            values: Further values for /diagnostics.
+
+        """
         learning_problem = self._learning_problem
         level = max(
             _LEVELS[status.state],
@@ -171,12 +185,22 @@ class Telemetry:
             message += f"; path refused: {path_problem}"
         if learning_problem:
             message += f"; Riccati policy instead of the learned one: {learning_problem}"
-        details = {"state": status.state.value, "cause": status.cause, "remedy": status.remedy}
-        entry = DiagnosticStatus(
-            level=level,
-            name=self._name,
-            message=message,
-            hardware_id="",
-            values=[KeyValue(key=key, value=value) for key, value in {**details, **values}.items()],
+        details = {
+            "state": status.state.value,
+            "cause": status.cause,
+            "remedy": status.remedy,
+            "since [s]": f"{since * 1e-9:.3f}",
+        }
+
+        def entry(shown: dict[str, str]) -> DiagnosticStatus:
+            pairs = [KeyValue(key=key, value=value) for key, value in shown.items()]
+            return DiagnosticStatus(level=level, name=self._name, message=message, values=pairs)
+
+        everything = entry({**details, **values})
+        self._diagnostics.publish(
+            DiagnosticArray(header=make_header(time, ""), status=[everything])
         )
-        self._diagnostics.publish(DiagnosticArray(header=make_header(time, ""), status=[entry]))
+        own = entry(details)
+        if own != self._last_status:
+            self._last_status = own
+            self._status.publish(own)

@@ -55,7 +55,7 @@ def test_refuses_a_parameter_file_that_is_none(start, tmp_path):
     assert "broken.yaml" in node.output()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_says_stop_three_times_before_it_goes(drive, number):
     seen = len(drive.commands)
     assert drive.controller.stop(number) == 0
@@ -278,9 +278,10 @@ def test_descriptors_come_from_the_settings():
 
 BROKEN_CONTROLLER = """
 import sys
+from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.nodes import controller
 
-step_at, steps = controller.PathFollower.step_at, []
+step_at, steps = PathFollower.step_at, []
 
 def failing(self, pose, time):
     steps.append(time)
@@ -288,7 +289,7 @@ def failing(self, pose, time):
         raise RuntimeError("a defect")
     return step_at(self, pose, time)
 
-controller.PathFollower.step_at = failing
+PathFollower.step_at = failing
 sys.exit(controller.main())
 """
 

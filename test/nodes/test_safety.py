@@ -8,8 +8,10 @@ import sys
 
 import pytest
 from conftest import Drive, Peer, is_zero
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Path as PathMessage
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -138,9 +140,10 @@ def test_a_clock_that_does_not_start_stands_still_or_jumps_back(peer, start):
 
 HANGING_CONTROLLER = """
 import sys, time
+from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.nodes import controller
 
-step_at, steps = controller.PathFollower.step_at, []
+step_at, steps = PathFollower.step_at, []
 
 def hanging(self, pose, stamp):
     steps.append(stamp)
@@ -148,7 +151,7 @@ def hanging(self, pose, stamp):
         time.sleep(3.0)
     return step_at(self, pose, stamp)
 
-controller.PathFollower.step_at = hanging
+PathFollower.step_at = hanging
 sys.exit(controller.main())
 """
 
@@ -177,3 +180,26 @@ def test_a_learner_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_pa
             peer.until(lambda: commands and not is_zero(commands[-1]), "motion again")
         finally:
             process.kill()
+
+
+def test_status_is_known_at_once_to_those_who_come_late(drive):
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    found = drive.peer.listen(DiagnosticStatus, "path_follower/status", latched)
+
+    def last() -> dict[str, str]:
+        return {item.key: item.value for item in found[-1].values} if found else {}
+
+    drive.peer.until(lambda: found, "the status")
+    assert (found[0].level, found[0].message) == (b"\x00", "following")
+    assert found[0].name == "/path_follower"
+    drive.peer.call(Trigger, "path_follower/stop")
+    drive.peer.until(lambda: last()["state"] == "stopped", "the stop")
+    assert last()["cause"] == "~/stop was called"
+    assert last()["remedy"] == "call ~/resume"
+    now = 1e-9 * drive.peer.node.get_clock().now().nanoseconds
+    assert now - 30.0 < float(last()["since [s]"]) <= now
+    count = len(found)
+    drive.peer.spin(1.5)  # /diagnostics comes meanwhile
+    assert len(found) == count
+    drive.controller.stop()
+    drive.peer.until(lambda: last()["state"] == "inactive", "the last words")

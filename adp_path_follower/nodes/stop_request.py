@@ -1,0 +1,67 @@
+"""What asks a node to end: a signal, or the death of the process that started it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from types import FrameType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+# Read at the import, before the half second that rclpy's takes.
+_PARENT = os.getppid()
+_HANG_UP_IGNORED = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+def ending_signals() -> tuple[signal.Signals, ...]:
+    """Return the signals that end a node in good order: all that would end it, but kill -9.
+
+    The loss of the terminal is none of them where somebody asked to outlive it (nohup).
+    """
+    return tuple(
+        number for number in _SIGNALS if number is not signal.SIGHUP or not _HANG_UP_IGNORED
+    )
+
+
+def watched_parent() -> int | None:
+    """Return the process whose death ends the node, None if the node was started to outlive it.
+
+    That is what nohup (which ignores SIGHUP) and setsid (which makes a session) are for; systemd
+    makes a session, too. `ros2 launch` and `ros2 run` do neither, and leave their nodes alone when
+    they are killed.
+    """
+    detached = _HANG_UP_IGNORED or os.getsid(0) == os.getpid() or _PARENT <= 1
+    return None if detached else _PARENT
+
+
+class StopRequest:
+    """Remember signals, and notice the death of the parent.
+
+    rclpy's own handlers shut the context down at once, after which nothing can be published; the
+    robot must be told to stop first. The parent is asked for again and again, as the signal that
+    Linux offers (PR_SET_PDEATHSIG) comes when the thread ends that started the node.
+    """
+
+    def __init__(self) -> None:
+        """Take over the signals."""
+        self._signalled = False
+        self._parent = watched_parent()
+        for number in ending_signals():
+            signal.signal(number, self._receive)
+
+    @property
+    def received(self) -> bool:
+        """Return whether the node must end."""
+        return self._signalled or self.orphaned
+
+    @property
+    def orphaned(self) -> bool:
+        """Return whether the process that started the node has ended."""
+        return self._parent is not None and os.getppid() != self._parent
+
+    def ignore_more(self) -> None:
+        """Ignore signals from now on: one while Python finalises would change the exit code."""
+        for number in ending_signals():
+            signal.signal(number, signal.SIG_IGN)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self._signalled = True
