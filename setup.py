@@ -37,6 +37,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/config/faults", glob("config/faults/*.yaml")),
         (f"share/{NAME}/config/layouts", glob("config/layouts/*")),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ from adp_path_follower.simulation import (
     SimulationResult,
     simulate,
 )
+from sim_unicycle.fault_script import FaultScript
+from sim_unicycle.settings import PlantSettings
 
 OWN = {
     "adp": "Approximate optimal control, learned before the start (warm)",
@@ -170,6 +173,8 @@ def compare(
     *,
     start_arc_length: float = 0.0,
     duration: float = 30.0,
+    plant: PlantSettings | None = None,
+    faults: FaultScript | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Comparison:
     """Run controllers from the same starts, and beside the offline optimum.
@@ -182,6 +187,9 @@ def compare(
         names: Controllers, of `CONTROLLERS`.
         start_arc_length: Where the virtual target starts [m].
         duration: Time over which the cost is compared [s].
+        plant: Imperfections of the robot, the same noise for every controller; J* is the ideal
+            robot's in any case.
+        faults: How they change with time.
         progress: Called with the fraction that is done.
 
     """
@@ -198,7 +206,18 @@ def compare(
         def advance(part: float, done: int = index + 1) -> None:
             progress((done + part) / parts)
 
-        outcomes.append(_outcome(item, path, starts, start_arc_length, duration, optimal, advance))
+        run = functools.partial(
+            simulate,
+            item.settings,
+            path,
+            start_arc_length=start_arc_length,
+            rate=item.rate,
+            learning=item.learning,
+            plant=plant,
+            faults=faults,
+            controller=item.factory,
+        )
+        outcomes.append(_outcome(item, run, path, starts, duration, optimal, advance))
     return Comparison(path_name, starts, optimal, tuple(problems), tuple(outcomes))
 
 
@@ -223,23 +242,17 @@ def _optima(
 
 def _outcome(
     item: Contender,
+    simulated: Callable[..., SimulationResult],
     path: Path,
     starts: FloatArray,
-    start_arc_length: float,
     duration: float,
     optimal: FloatArray,
     progress: Callable[[float], None],
 ) -> Outcome:
     def run(from_starts: FloatArray, time: float, record: bool, first: float) -> SimulationResult:
-        return simulate(
-            item.settings,
-            path,
-            from_starts,
-            start_arc_length=start_arc_length,
+        return simulated(
+            starts=from_starts,
             duration=time,
-            rate=item.rate,
-            learning=item.learning,
-            controller=item.factory,
             record=record,
             progress=lambda part: progress(first + 0.5 * part),
         )

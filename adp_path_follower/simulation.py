@@ -19,7 +19,8 @@ from adp_path_follower.core.learner import Weights
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
-from sim_unicycle.settings import PlantSettings
+from sim_unicycle.fault_script import FaultScript
+from sim_unicycle.settings import PlantSettings, SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
 
 PAPER_START = (-0.5, 0.25, -math.pi / 6.0)
@@ -106,6 +107,7 @@ def simulate(
     rate: float = 100.0,
     learning: str = "cold",
     plant: PlantSettings | None = None,
+    faults: FaultScript | None = None,
     controller: ControllerFactory = PathFollower,
     record: bool = False,
     progress: Callable[[float], None] | None = None,
@@ -121,7 +123,9 @@ def simulate(
         rate: Control steps per second [Hz]; commands are held between them.
         learning: "cold" starts with the weights of the settings, "warm" first learns at the start
             until the weights settle, "frozen" never changes the weights.
-        plant: Imperfections of the robot; an ideal one by default.
+        plant: Imperfections of the robot; an ideal one by default. Run number n of the starts has
+            the seed of the plant plus n, whatever the controller and its rate.
+        faults: How the imperfections change with time; what it says of messages has no effect.
         controller: What makes the controller; `learning` matters to `PathFollower` only.
         record: Keep trajectories.
         progress: Called now and then with the fraction that is done.
@@ -150,9 +154,11 @@ def simulate(
         )
     blocks = [errors[first : first + _BLOCK] for first in range(0, len(errors), _BLOCK)]
     results = []
+    frame = path.frame(np.full(1, start_arc_length)).pose
     for index, block in enumerate(blocks):
+        robot = Unicycle(pose_in_frame(block, frame), plant or PlantSettings(), _BLOCK * index)
         loop = _ClosedLoop(
-            settings, path, block, start_arc_length, learning, plant, controller, duration
+            settings, path, block, start_arc_length, learning, robot, faults, controller, duration
         )
 
         def report(fraction: float, index: int = index) -> None:
@@ -173,7 +179,8 @@ class _ClosedLoop:
         starts: FloatArray,
         start_arc_length: float,
         learning: str,
-        plant: PlantSettings | None,
+        robot: Unicycle,
+        faults: FaultScript | None,
         controller: ControllerFactory,
         duration: float,
     ) -> None:
@@ -183,11 +190,11 @@ class _ClosedLoop:
         self._starts = starts
         self._settings, self._path = settings, path
         self._controller = controller(settings, path, arc_length)
-        pose = pose_in_frame(starts, path.frame(arc_length).pose)
-        self._robot = Unicycle(pose, plant if plant is not None else PlantSettings())
+        self._robot, self._faults = robot, faults
+        self._undisturbed = SimulatorSettings(plant=robot.plant)
         if learning == "warm" and isinstance(self._controller, PathFollower):
             ahead = duration * settings.target.desired_speed + _WARM_MARGIN
-            self._controller.learn_at_rest(pose, ahead)
+            self._controller.learn_at_rest(robot.pose, ahead)
         self._failed = np.zeros(len(starts), dtype=bool)
 
     def run(
@@ -255,6 +262,9 @@ class _ClosedLoop:
         step = period / count
         cost = np.zeros(len(self._starts))
         for _ in range(count):
+            if self._faults is not None:
+                settings = self._faults.settings_at(self._undisturbed, self._robot.time)
+                self._robot.plant = settings.plant
             start = self._robot.pose
             self._robot.step(command, step)
             spent, arc_length = motion_cost(

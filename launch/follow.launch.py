@@ -63,6 +63,12 @@ def generate_launch_description() -> LaunchDescription:
                 "built-in paths; x, y and theta of unicycle_sim in params_file change that.",
             ),
             DeclareLaunchArgument(
+                "fault_script",
+                default_value="",
+                description="What goes wrong with the simulated robot, and when: a YAML file, or "
+                "the name of one in the package's config/faults, such as push.",
+            ),
+            DeclareLaunchArgument(
                 "record",
                 default_value="false",
                 choices=BOOLEAN,
@@ -111,7 +117,14 @@ def generate_launch_description() -> LaunchDescription:
                 executable="sim_unicycle",
                 name="unicycle_sim",
                 ros_arguments=["-p", ["theta:=", heading], *arguments],
-                parameters=[{"publish_clock": use_sim_time}],
+                parameters=[
+                    {
+                        "publish_clock": use_sim_time,
+                        "fault_script": ParameterValue(
+                            LaunchConfiguration("fault_script"), value_type=str
+                        ),
+                    }
+                ],
                 condition=IfCondition(LaunchConfiguration("use_sim")),
                 **common,
             ),

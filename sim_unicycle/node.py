@@ -17,10 +17,13 @@ from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
+from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.nodes.conversions import NANOSECONDS, odometry_message, stamp_nanoseconds
 from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
 from adp_path_follower.nodes.run import Ending, run_node
+from sim_unicycle.fault_script import read_fault_script
+from sim_unicycle.faulty_messages import odometry_of, published_time
 from sim_unicycle.settings import SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
 
@@ -30,6 +33,7 @@ _DISCOVERY_PERIOD = 0.1  # [s], steady
 _DELIVERY_TIMEOUT = 5.0  # [s]
 _RESEND_PERIOD = 0.1  # [s], steady: how long lock-step waits before it repeats its odometry
 _REMINDER = 5.0  # [s], steady: how long it waits before it tells the user
+_SILENT_STEPS = 100  # without odometry, that lock-step takes at once
 _ZERO = np.zeros(2)
 _EVERY_STEP = QoSProfile(depth=10)
 # In lock-step at the machine's pace, a recorder that joins a second late, or is kept waiting that
@@ -42,7 +46,8 @@ class SimulatorNode(Ending, Node):
 
     In lock-step, time stands still until a command arrives that answers the last odometry: a
     TwistStamped with its stamp, or any Twist. Before the first answer no /clock is published, so
-    that the zero velocities of a controller that starts (their stamp is 0) are no answers.
+    that the zero velocities of a controller that starts (their stamp is 0) are no answers. Where
+    odometry is delayed or lost, it takes the next step without an answer.
     """
 
     def __init__(self) -> None:
@@ -51,6 +56,15 @@ class SimulatorNode(Ending, Node):
         self._settings = declare_settings(self, SimulatorSettings)
         LiveSettings(self, self._settings, self._prepare_settings)
         simulation = self._settings.simulation
+        self._script = read_fault_script(simulation.fault_script)
+        message_fault = self._script.changes_messages()
+        if simulation.lockstep and message_fault:
+            raise SettingsError(
+                f"fault_script changes '{message_fault}', but lock-step waits for an answer to "
+                "every odometry message: set lockstep to false"
+            )
+        self._script_start: int | None = None  # the time of the first command to move [ns]
+        self._chance = np.random.default_rng(self._settings.plant.seed)
         self._period = round(NANOSECONDS / simulation.rate)  # [ns]
         self._own_clock = simulation.publish_clock or simulation.lockstep
         self._robot = self._new_robot()
@@ -58,6 +72,8 @@ class SimulatorNode(Ending, Node):
         self._command_time = 0
         self._start_time = self._period if self._own_clock else self.get_clock().now().nanoseconds
         self._time = self._start_time  # [ns]
+        self._asked = 0  # stamp of the last odometry [ns]
+        self._odometry_messages: list[Odometry] = []
         self._answered = False  # whether lock-step has had its first answer
         self._sent_at = self._reminded_at = steady.monotonic()
 
@@ -74,7 +90,7 @@ class SimulatorNode(Ending, Node):
         self.create_service(Trigger, "~/reset", self._reset)
         period = self._period / NANOSECONDS / simulation.real_time_factor
         if simulation.lockstep:
-            self._publish()
+            self._publish(self._settings)
             period = 0.5 * _RESEND_PERIOD
         self.create_timer(
             period,
@@ -97,13 +113,12 @@ class SimulatorNode(Ending, Node):
     def _prepare_settings(self, settings: SimulatorSettings) -> Callable[[], None]:
         def take_over() -> None:
             self._settings = settings
-            self._robot.plant = settings.plant
 
         return take_over
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._robot = self._new_robot()
-        self._command = _ZERO
+        self._command, self._script_start = _ZERO, None
         response.success, response.message = True, "robot is at its start again"
         return response
 
@@ -124,7 +139,7 @@ class SimulatorNode(Ending, Node):
             self._command_subscription = self._subscribe_commands()
 
     def _receive_stamped(self, message: TwistStamped) -> None:
-        self._receive(message.twist, stamp_nanoseconds(message.header) == self._time)
+        self._receive(message.twist, stamp_nanoseconds(message.header) == self._asked)
 
     def _receive_twist(self, message: Twist) -> None:
         self._receive(message, True)
@@ -134,12 +149,15 @@ class SimulatorNode(Ending, Node):
         if not np.isfinite(command).all():
             self.get_logger().error(f"command refused: {command.tolist()} is not finite")
             return
-        if not self._settings.simulation.lockstep:
-            self._command, self._command_time = command, self._time
-        elif answers:
-            self._command, self._command_time = command, self._time
+        lockstep = self._settings.simulation.lockstep
+        if lockstep and not answers:
+            return
+        if self._script_start is None and command.any():
+            self._script_start = self._time
+        self._command, self._command_time = command, self._time
+        if lockstep:
             self._answered = True
-            self._advance(self._period)
+            self._advance_to_odometry()
 
     # Time
 
@@ -155,6 +173,9 @@ class SimulatorNode(Ending, Node):
         now = steady.monotonic()
         if now - self._sent_at < _RESEND_PERIOD:
             return
+        if not self._odometry_messages:  # more than the steps that are taken at once
+            self._advance_to_odometry()
+            return
         self._sent_at = now
         self._send_state()
         if now - self._reminded_at > _REMINDER:
@@ -164,41 +185,62 @@ class SimulatorNode(Ending, Node):
                 "controller running, has it a path, and is its control_trigger 'odometry'?"
             )
 
+    def _advance_to_odometry(self) -> None:
+        """Move the robot until there is odometry to answer, but not for ever at once."""
+        for _ in range(_SILENT_STEPS):
+            self._advance(self._period)
+            if self._odometry_messages or self.finished:
+                break
+
     def _advance(self, duration: int) -> None:
         """Move the robot for a time [ns] and publish where it is."""
         simulation = self._settings.simulation
+        if duration <= 0:  # the clock that it follows stands still, or went back
+            return
         if self._time + duration > self._start_time + simulation.duration * NANOSECONDS + 1:
             self.finished = True
             return
+        settings = self._settings
+        if self._script_start is not None:
+            elapsed = (self._time - self._script_start) / NANOSECONDS
+            settings = self._script.settings_at(settings, elapsed)
         age = (self._time - self._command_time) / NANOSECONDS
-        command = self._command if age < simulation.command_timeout else _ZERO
+        command = self._command if age < settings.simulation.command_timeout else _ZERO
+        self._robot.plant = settings.plant
         self._robot.step(command, duration / NANOSECONDS)
         self._time += duration
         self._reminded_at = steady.monotonic()
-        self._publish()
+        self._publish(settings)
 
-    def _publish(self) -> None:
-        """Publish clock, odometry and ground truth."""
+    def _publish(self, settings: SimulatorSettings) -> None:
+        """Publish clock, ground truth, and the odometry that has arrived."""
         self._sent_at = steady.monotonic()
-        if self._clock_publisher is not None and (
-            self._answered or not self._settings.simulation.lockstep
-        ):
-            seconds, nanoseconds = divmod(self._time, NANOSECONDS)
+        runs = self._answered or not settings.simulation.lockstep
+        faults, robot = settings.message_faults, self._robot
+        time = published_time(self._time, settings)
+        if self._clock_publisher is not None and runs and not faults.clock_stops:
+            seconds, nanoseconds = divmod(time, NANOSECONDS)
             self._clock_publisher.publish(
                 ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds))
             )
-        simulation, robot = self._settings.simulation, self._robot
+        simulation = settings.simulation
         frames = simulation.odom_frame, simulation.base_frame
         # Kept, so that lock-step repeats the same messages: the same noise.
-        self._truth_message = odometry_message(self._time, robot.pose, robot.twist, frames)
-        self._odometry_message = odometry_message(
-            self._time, robot.measured_pose(), robot.twist, frames
-        )
+        self._truth_message = odometry_message(time, robot.pose, robot.twist, frames)
+        self._odometry_messages = []
+        for reading in robot.arrived:
+            measured_at = self._time - round((robot.time - reading.time) * NANOSECONDS)
+            self._odometry_messages.append(odometry_of(reading, measured_at, settings))
+            if self._chance.random() < faults.odometry_duplicate:
+                self._odometry_messages.append(self._odometry_messages[-1])
+        if self._odometry_messages:
+            self._asked = stamp_nanoseconds(self._odometry_messages[-1].header)
         self._send_state()
 
     def _send_state(self) -> None:
         self._ground_truth.publish(self._truth_message)
-        self._odometry.publish(self._odometry_message)
+        for message in self._odometry_messages:
+            self._odometry.publish(message)
 
 
 def main() -> int:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.schema import setting
+from adp_path_follower.core.schema import POSITIVE, setting
 
 _WIRING = "the node's topics and timers are made from it"
 _START = "it is where the run starts; call ~/reset to start again"
@@ -36,15 +36,56 @@ class PlantSettings:
     max_angular_vel: float = setting(
         math.inf, "Highest angular velocity that the robot can do.", unit="rad/s", low=0.0
     )
+    max_linear_accel: float = setting(
+        math.inf,
+        "Highest change of the linear velocity that the robot can do.",
+        unit="m/s^2",
+        low=POSITIVE,
+    )
+    max_angular_accel: float = setting(
+        math.inf,
+        "Highest change of the angular velocity that the robot can do.",
+        unit="rad/s^2",
+        low=POSITIVE,
+    )
     velocity_lag: float = setting(
         0.0,
-        "Time constant with which the velocities follow the command.",
+        "Time constant with which the wheels' velocities follow the command.",
         unit="s",
         low=0.0,
         high=10.0,
     )
     command_delay: float = setting(
-        0.0, "Time from a command to its effect.", unit="s", low=0.0, high=10.0
+        0.0,
+        "Time from a command to its effect, in whole steps of the simulation (rounded up).",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
+    linear_slip: float = setting(
+        0.0,
+        "Share of the wheels' linear velocity that the ground does not give; odometry's velocity "
+        "is the wheels'.",
+        low=0.0,
+        high=1.0,
+    )
+    angular_slip: float = setting(
+        0.0, "Share of the angular velocity that the ground does not give.", low=0.0, high=1.0
+    )
+    friction: float = setting(
+        math.inf,
+        "Coefficient of friction: the ground gives no more linear acceleration, along and across, "
+        "than this times 9.81 m/s^2; on less the robot brakes late and drifts wide.",
+        low=POSITIVE,
+    )
+    push: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0),
+        "Velocity in the robot's frame, forward, to the left and turning, with which somebody "
+        "moves it beside what its wheels do.",
+        unit="m/s, m/s, rad/s",
+        low=-100.0,
+        high=100.0,
+        lengths=(3,),
     )
     position_noise: float = setting(
         0.0, "Standard deviation of the noise of x and y in odometry.", unit="m", low=0.0, high=10.0
@@ -56,7 +97,82 @@ class PlantSettings:
         low=0.0,
         high=3.0,
     )
-    seed: int = setting(0, "Seed of the noise.", low=0, high=2**31 - 1, read_only=_START)
+    position_drift: float = setting(
+        0.0,
+        "How x and y in odometry drift: a random walk with this standard deviation after 1 s, "
+        "growing with the square root of time.",
+        unit="m/sqrt(s)",
+        low=0.0,
+        high=10.0,
+    )
+    heading_drift: float = setting(
+        0.0,
+        "How the heading in odometry drifts, likewise.",
+        unit="rad/sqrt(s)",
+        low=0.0,
+        high=3.0,
+    )
+    odometry_delay: float = setting(
+        0.0,
+        "Time from a measurement, whose stamp it keeps, to its odometry message, in whole steps "
+        "of the simulation (rounded up).",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
+    odometry_drop: float = setting(
+        0.0, "Probability that an odometry message is lost.", low=0.0, high=1.0
+    )
+    seed: int = setting(
+        0,
+        "Seed of all that is random; the run number n of a batch has the seed plus n.",
+        low=0,
+        high=2**31 - 1,
+        read_only=_START,
+    )
+
+
+@dataclass(frozen=True)
+class MessageFaultSettings:
+    """Faulty messages."""
+
+    odometry_duplicate: float = setting(
+        0.0, "Probability that an odometry message is sent twice.", low=0.0, high=1.0
+    )
+    odometry_corruption: str = setting(
+        "none",
+        "What is wrong with the values of odometry messages.",
+        choices=("none", "nan", "infinite", "zero_quaternion"),
+    )
+    odometry_offset: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0),
+        "What is added to x, y and theta of odometry messages: a pose that jumps.",
+        unit="m, m, rad",
+        low=-1e6,
+        high=1e6,
+        lengths=(3,),
+    )
+    odometry_stamp_offset: float = setting(
+        0.0,
+        "What is added to the stamps of odometry messages.",
+        unit="s",
+        low=-1e6,
+        high=1e6,
+    )
+    reported_odom_frame: str = setting(
+        "", "Frame that odometry messages name instead of odom_frame; empty: odom_frame."
+    )
+    reported_base_frame: str = setting(
+        "", "Frame that odometry messages name instead of base_frame; empty: base_frame."
+    )
+    clock_stops: bool = setting(False, "Publish no /clock, and go on with odometry.")
+    clock_offset: float = setting(
+        0.0,
+        "What is added to /clock and to the stamps of odometry; their time stays above 0.",
+        unit="s",
+        low=-1e6,
+        high=1e6,
+    )
 
 
 @dataclass(frozen=True)
@@ -100,6 +216,12 @@ class SimulationSettings:
         low=0.01,
         high=60.0,
     )
+    fault_script: str = setting(
+        "",
+        "Parameters that change with time: a file, or the name of one in config/faults; its time "
+        "begins with the first command to move.",
+        read_only="it is read at the start",
+    )
     odom_frame: str = setting("odom", "Frame of the odometry.", read_only=_WIRING)
     base_frame: str = setting("base_link", "Frame of the robot.", read_only=_WIRING)
 
@@ -116,6 +238,19 @@ class SimulationSettings:
 class SimulatorSettings:
     """All settings of the simulator; build them with `schema.build(SimulatorSettings, values)`."""
 
-    start: StartSettings
-    plant: PlantSettings
-    simulation: SimulationSettings
+    start: StartSettings = StartSettings()
+    plant: PlantSettings = PlantSettings()
+    message_faults: MessageFaultSettings = MessageFaultSettings()
+    simulation: SimulationSettings = SimulationSettings()
+
+    def __post_init__(self) -> None:
+        """Refuse what lock-step would wait for in vain."""
+        if not self.simulation.lockstep:
+            return
+        for item in fields(MessageFaultSettings):
+            value = getattr(self.message_faults, item.name)
+            if value != item.default:
+                raise SettingsError(
+                    f"setting '{item.name}' is {value!r}, but lock-step waits for an answer to "
+                    "every odometry message: set lockstep to false, or leave the messages alone"
+                )

@@ -115,6 +115,26 @@ def test_settings_by_file_and_by_set_agree(tmp_path):
     assert by_file.stdout == by_set.stdout != plain.stdout
 
 
+def test_the_simulated_robot_is_what_sim_set_says(tmp_path):
+    def final_error(*arguments):
+        file = tmp_path / "runs.json"
+        done = adp(
+            *("simulate", "--duration", "3", "--start", "0", "0", "0", "--path", "line"),
+            *("--json", str(file), *arguments),
+        )
+        assert done.returncode == 0, done.stderr
+        return np.abs(json.loads(file.read_text())["runs"][0]["final_error"])
+
+    assert final_error().max() < 1e-9
+    noisy = ("--sim-set", "position_noise=0.01")
+    assert 0.002 < final_error(*noisy).max() < 0.1
+    assert final_error(*noisy).tolist() == final_error(*noisy).tolist()
+    assert (final_error(*noisy) != final_error(*noisy, "--sim-set", "seed=1")).any()
+    (tmp_path / "push.yaml").write_text("faults: [{at: 2.8, for: 0.2, push: [0.0, 2.0, 0.0]}]")
+    pushed = final_error("--sim-set", f"fault_script={tmp_path}/push.yaml")
+    assert 0.25 < pushed[1] < 0.4
+
+
 BAD_INPUT = [
     (["simulate", "--params", "missing.yaml"], "file missing.yaml cannot be read: No such file"),
     (["simulate", "--params", "empty"], "file empty is empty"),
@@ -138,6 +158,12 @@ BAD_INPUT = [
     (["simulate", "--start", "nan", "0", "0"], "starts must be finite"),
     (["simulate", "--duration", "-1"], "duration is -1.0 s"),
     (["simulate", "--json", "nowhere/runs.json"], "there is no directory nowhere"),
+    (["simulate", "--sim-set", "friction=0.0"], "setting 'friction' is 0.0, but must be"),
+    (["simulate", "--sim-set", "lockstep=true"], "'lockstep' is of the simulator node, which"),
+    (["simulate", "--sim-set", "fault_script=bumps"], "'bumps' is neither a file nor one of"),
+    (["simulate", "--sim-set", "fault_script=fault.yaml"], "entry 1: 'frition' is no parameter"),
+    (["compare", "--sim-set", "fault_script=clock_stops"], "there are no messages here"),
+    (["demo", "--sim-set", "fault_script=fault.yaml"], "did you mean 'friction'?"),
     (["demo", "--params", "missing.yaml"], "file missing.yaml cannot be read"),
     (["demo", "--out", "full"], "output full holds files already"),
     (["demo", "--out", "empty"], "output empty is a file"),
@@ -160,6 +186,7 @@ def folder(tmp_path_factory) -> Path:
     (found / "other.yaml").write_text("amcl:\n  ros__parameters:\n    x: 1\n")
     (found / "broken.yaml").write_text("path_follower:\n  ros__parameters: [\n")
     (found / "unknown.yaml").write_text("path_follower:\n  ros__parameters:\n    speed: 1.0\n")
+    (found / "fault.yaml").write_text("faults: [{at: 1.0, frition: 0.1}]")
     (found / "header.csv").write_text("x,z\n1,2\n")
     (found / "words.csv").write_text("x,y\n1,2\none,two\n")
     (found / "point.csv").write_text("x,y\n1,2\n1,2\n")

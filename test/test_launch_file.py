@@ -15,6 +15,7 @@ DOCUMENTED = {
     "params_file",
     "path",
     "use_sim",
+    "fault_script",
     "record",
     "bag",
     "namespace",

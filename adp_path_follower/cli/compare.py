@@ -13,10 +13,13 @@ import numpy as np
 from adp_path_follower.cli.options import (
     FILE,
     collect_starts,
+    load_simulator,
     new_directory,
     progress_bar,
     settings_options,
+    simulator_options,
     start_options,
+    without_nodes,
     write_json,
 )
 from adp_path_follower.core.files import read_csv_columns
@@ -33,6 +36,7 @@ _FORTY_STARTS = Path(__file__).parents[1] / "data" / "forty_starts.csv"
 
 @click.command()
 @settings_options
+@simulator_options
 @click.option(
     "--path",
     "path_names",
@@ -60,6 +64,8 @@ _FORTY_STARTS = Path(__file__).parents[1] / "data" / "forty_starts.csv"
 def compare(
     params: Path | None,
     assignments: tuple[str, ...],
+    sim_params: Path | None,
+    sim_assignments: tuple[str, ...],
     path_names: tuple[str, ...],
     starts: tuple[tuple[float, float, float], ...],
     starts_file: Path | None,
@@ -81,6 +87,9 @@ def compare(
     The headline:       adp compare --unlimited
     With limits, fast:  adp compare --controllers adp,lqr,regulated_pure_pursuit
     Before a bend:      adp compare --unlimited --start-arc-length 15.53
+    A real robot:       adp compare --sim-set velocity_lag=0.1
+
+    With --sim-set, all see the same noise, and J* stays the ideal robot's.
 
     Exit code 1 if some start has no known optimum; it is named, and counts in all but J/J*.
     """
@@ -94,6 +103,7 @@ def compare(
     names = [name.strip() for name in controllers.split(",")] if controllers else list(CONTROLLERS)
     changes = (*_UNLIMITED, *assignments) if unlimited else assignments
     settings = load_settings(Settings, "path_follower", params, changes)
+    plant, faults = without_nodes(load_simulator(sim_params, sim_assignments))
     if starts or starts_file is not None:
         errors = collect_starts(starts, starts_file)
     else:
@@ -114,6 +124,8 @@ def compare(
                     names,
                     start_arc_length=start_arc_length,
                     duration=duration,
+                    plant=plant,
+                    faults=faults,
                     progress=progress,
                 )
             )

@@ -14,9 +14,11 @@ import numpy as np
 
 from adp_path_follower.cli.options import (
     FILE,
+    load_simulator,
     new_directory,
     path_option,
     settings_options,
+    simulator_options,
     write_json,
 )
 from adp_path_follower.core.errors import AdpError
@@ -25,10 +27,13 @@ from adp_path_follower.core.path import Path as FollowedPath
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.simulation import PAPER_START
+from sim_unicycle.fault_script import read_fault_script
+from sim_unicycle.settings import SimulatorSettings
 
 
 @click.command()
 @settings_options
+@simulator_options
 @path_option
 @click.option(
     "--out",
@@ -48,6 +53,8 @@ from adp_path_follower.simulation import PAPER_START
 def demo(
     params: Path | None,
     assignments: tuple[str, ...],
+    sim_params: Path | None,
+    sim_assignments: tuple[str, ...],
     path_name: str,
     directory: Path | None,
     duration: float,
@@ -64,15 +71,18 @@ def demo(
     The paper's laws and constants:  adp demo --params config/paper.yaml
     With other parameters:           adp demo --set target_gain=0.3
     On a circle of 2 m radius:       adp demo --path circle:0.5
+    A bad day, in real time:         adp demo --sim-set fault_script=bad_day
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
+    simulator = load_simulator(sim_params, sim_assignments)
+    read_fault_script(simulator.simulation.fault_script)
     path = named_path(path_name)
     _require_ros()
     directory = new_directory(
         directory or Path(datetime.now().strftime("adp_demo_%Y_%m_%d-%H_%M_%S"))
     )
     started = time.monotonic()
-    bag = _run(settings, path, path_name, duration, directory)
+    bag = _run(settings, simulator, path, path_name, duration, directory)
     _report(bag, directory, duration, time.monotonic() - started)
 
 
@@ -87,7 +97,12 @@ def _require_ros() -> None:
 
 
 def _run(
-    settings: Settings, path: FollowedPath, path_name: str, duration: float, directory: Path
+    settings: Settings,
+    simulator: SimulatorSettings,
+    path: FollowedPath,
+    path_name: str,
+    duration: float,
+    directory: Path,
 ) -> Path:
     """Run the nodes with a progress bar and return the bag."""
     from adp_path_follower.nodes.closed_loop import Progress, run_closed_loop
@@ -122,7 +137,14 @@ def _run(
             bar.update(int(1000.0 * min(1.0, progress.time / duration)) - bar.pos, None)
 
         bag = run_closed_loop(
-            settings, path, path_name, np.array(PAPER_START), duration, directory, report
+            settings,
+            path,
+            path_name,
+            np.array(PAPER_START),
+            duration,
+            directory,
+            report,
+            simulator,
         )
         bar.update(1000 - bar.pos)
     return bag

@@ -11,10 +11,13 @@ from adp_path_follower.cli.options import (
     FILE,
     check_writable,
     collect_starts,
+    load_simulator,
     path_option,
     progress_bar,
     settings_options,
+    simulator_options,
     start_options,
+    without_nodes,
     write_json,
 )
 from adp_path_follower.core.errors import FileError
@@ -39,6 +42,7 @@ _ROWS_SHOWN = 20
 
 @click.command()
 @settings_options
+@simulator_options
 @path_option
 @start_options
 @click.option("--duration", type=float, default=30.0, show_default=True, help="Time [s].")
@@ -65,6 +69,8 @@ _ROWS_SHOWN = 20
 def simulate(
     params: Path | None,
     assignments: tuple[str, ...],
+    sim_params: Path | None,
+    sim_assignments: tuple[str, ...],
     path_name: str,
     starts: tuple[tuple[float, float, float], ...],
     starts_file: Path | None,
@@ -87,8 +93,11 @@ def simulate(
         adp simulate --params config/paper.yaml --duration 40 --learning frozen
     A thousand starts:
         adp simulate --starts starts.csv --json runs.json
+    A robot with 50 ms delay, and a push:
+        adp simulate --sim-set command_delay=0.05 --sim-set fault_script=push
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
+    plant, faults = without_nodes(load_simulator(sim_params, sim_assignments))
     path = named_path(path_name)
     errors = collect_starts(starts, starts_file)
     check_writable(json_file, npz_file)
@@ -105,6 +114,8 @@ def simulate(
             rate=rate,
             learning=learning,
             controller=make_controller,
+            plant=plant,
+            faults=faults,
             record=npz_file is not None,
             progress=progress,
         )

@@ -14,9 +14,10 @@ import numpy as np
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, yaw_of_quaternion
 from adp_path_follower.core.path import Path
-from adp_path_follower.core.schema import flatten
+from adp_path_follower.core.schema import Value, flatten
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.nodes.processes import NodeProcess, own_domain
+from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
 
 _READY_TIMEOUT = 60.0  # [s] for a slow machine to import rclpy four times
 _STALL_TIMEOUT = 30.0  # [s] without any step
@@ -24,6 +25,8 @@ _GOAL_TIMEOUT = 1.0  # [s] without any step after the goal
 # Lock-step waits for the machine, so wall time says nothing about the odometry.
 _LOCKSTEP = {"control_trigger": "odometry", "path_start": "beginning", "odom_timeout": 30.0}
 _SIM_TIME = {"use_sim_time": True}
+# Faults are about time, so a robot that has some is driven in real time, as a robot is.
+_REAL_TIME = {"path_start": "beginning"}
 
 
 @dataclass(frozen=True)
@@ -50,8 +53,9 @@ def run_closed_loop(
     duration: float,
     directory: FilePath,
     report: Callable[[Progress | None], None],
+    simulator: SimulatorSettings | None = None,
 ) -> FilePath:
-    """Run the four nodes in lock-step and return the bag.
+    """Run the four nodes in lock-step, or in real time where there are faults; return the bag.
 
     Args:
         settings: The controller's settings; what lock-step needs is changed.
@@ -61,6 +65,7 @@ def run_closed_loop(
         duration: Simulated time [s].
         directory: Where the bag and the nodes' logs go.
         report: Called while waiting (None) and after every step that was seen.
+        simulator: How the robot is; an ideal one by default. Start and duration are those above.
 
     Raises:
         AdpError: A node ended early or the run does not go on; the message says which and why.
@@ -69,6 +74,7 @@ def run_closed_loop(
     logs = directory / "logs"
     logs.mkdir()
     bag = directory / "bag"
+    plant, pace = _simulated(simulator or SimulatorSettings(), duration)
     x, y, theta = pose_in_frame(start, path.frame(0.0).pose).tolist()
     with own_domain() as domain:
         nodes: list[NodeProcess] = []
@@ -79,19 +85,16 @@ def run_closed_loop(
             return nodes[-1]
 
         try:
-            controller = launch("controller", {**flatten(settings), **_LOCKSTEP, **_SIM_TIME})
+            controller = launch("controller", {**flatten(settings), **pace, **_SIM_TIME})
             recorder = launch("recorder", {"output": str(bag), **_SIM_TIME})
-            simulator = launch(
-                "sim_unicycle",
-                {"lockstep": True, "duration": duration, "x": x, "y": y, "theta": theta},
-            )
+            robot = launch("sim_unicycle", {**plant, "x": x, "y": y, "theta": theta})
             # The path starts the run, so it comes when simulator and controller are being heard;
             # it is heard itself, and the configuration after it, perhaps only when all is over.
             _wait(nodes, recorder, ("/odom", "/cmd_vel"), lambda: report(None))
             launch("path_publisher", {"path": path_name})
-            _Monitor(domain).watch(simulator, controller, nodes, report)
+            _Monitor(domain).watch(robot, controller, nodes, report)
             rest = ("/path", "/path_follower/configuration", "/path_follower/tracking_error")
-            others = [node for node in nodes if node is not simulator]
+            others = [node for node in nodes if node is not robot]
             _wait(others, recorder, rest, lambda: None)
         finally:
             # The recorder last: it must hear the others' last words.
@@ -100,6 +103,18 @@ def run_closed_loop(
     if recorder.process.returncode != 0:
         raise AdpError(f"the recorder failed: {recorder.last_line()}")
     return bag
+
+
+def _simulated(
+    settings: SimulatorSettings, duration: float
+) -> tuple[dict[str, Value], dict[str, Any]]:
+    """Return the simulator's parameters that are not the default, and the controller's for them."""
+    plain = flatten(SimulatorSettings())
+    values = {name: value for name, value in flatten(settings).items() if value != plain[name]}
+    faults = settings.simulation.fault_script or settings.message_faults != MessageFaultSettings()
+    values["duration"] = duration
+    values["publish_clock" if faults else "lockstep"] = True
+    return values, _REAL_TIME if faults else _LOCKSTEP
 
 
 def _wait(

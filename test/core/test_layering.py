@@ -21,7 +21,14 @@ BLOCKED = [
 ]
 # numpy, scipy and PyYAML are all that the core may need.
 ALLOWED_ROOTS = {*sys.stdlib_module_names, "numpy", "scipy", "yaml", "adp_path_follower"}
-SIMULATION = ["adp_path_follower.simulation", "sim_unicycle.unicycle", "sim_unicycle.settings"]
+SIMULATION = [
+    "adp_path_follower.simulation",
+    "sim_unicycle.disturbances",
+    "sim_unicycle.fault_script",
+    "sim_unicycle.odometry",
+    "sim_unicycle.settings",
+    "sim_unicycle.unicycle",
+]
 
 
 def module_name(file):

@@ -152,6 +152,8 @@ def test_noise_has_its_standard_deviation_and_no_bias():
     np.testing.assert_allclose(measured.mean(axis=0) / deviations, 0.0, atol=0.0283)
     np.testing.assert_allclose(measured.std(axis=0) / deviations, 1.0, atol=0.02)
     assert np.abs(np.corrcoef(measured.T) - np.eye(3)).max() < 0.03
+    assert robot.measured_pose().tolist() == (robot.pose + measured).tolist()  # until it moves on
+    robot.step(np.zeros(2), 0.01)
     again = robot.measured_pose() - robot.pose
     assert abs(np.corrcoef(measured[:, 0], again[:, 0])[0, 1]) < 0.03
 

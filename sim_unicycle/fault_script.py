@@ -1,0 +1,159 @@
+"""A bad day to replay: simulator parameters that change at set times."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from adp_path_follower.core.errors import FileError, SettingsError
+from adp_path_follower.core.files import read_yaml
+from adp_path_follower.core.schema import Value, build, checked, setting_fields, update
+from adp_path_follower.shared_files import config_file
+from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
+
+_FIELDS = {field.name: field for field in setting_fields(SimulatorSettings)}
+_CHANGEABLE = tuple(name for name, field in _FIELDS.items() if not field.spec.read_only)
+_TIMES = ("at", "for", "every")
+_FOLDER = "faults"
+_ROUNDING = 1e-9  # [s]
+
+
+@dataclass(frozen=True)
+class FaultEntry:
+    """Parameters that hold for a time.
+
+    Attributes:
+        at: When it begins [s].
+        duration: How long it lasts [s]; infinite for the rest of the run.
+        every: After which time it begins again [s]; infinite for never.
+        values: Name: value of the parameters.
+
+    """
+
+    at: float
+    duration: float
+    every: float
+    values: Mapping[str, Value]
+
+    def holds(self, time: float) -> bool:
+        """Return whether it holds at a time [s]."""
+        elapsed = time - self.at + _ROUNDING
+        if elapsed < 0.0:
+            return False
+        if math.isfinite(self.every):
+            elapsed %= self.every
+        return elapsed < self.duration
+
+
+class FaultScript:
+    """Entries of a script; where two hold at once, the later one in the list wins."""
+
+    def __init__(self, entries: tuple[FaultEntry, ...] = ()) -> None:
+        """Take the entries; without any, nothing ever changes."""
+        self.entries = entries
+        self._known: tuple[SimulatorSettings, tuple[FaultEntry, ...], SimulatorSettings] | None
+        self._known = None
+
+    def settings_at(self, settings: SimulatorSettings, time: float) -> SimulatorSettings:
+        """Return settings with what the script changes at a time [s].
+
+        Raises:
+            SettingsError: They do not fit each other.
+
+        """
+        if not self.entries:
+            return settings
+        holding = tuple(entry for entry in self.entries if entry.holds(time))
+        if not holding:
+            return settings
+        if self._known is None or self._known[0] is not settings or self._known[1] != holding:
+            changes = {name: value for entry in holding for name, value in entry.values.items()}
+            self._known = settings, holding, update(settings, changes)
+        return self._known[2]
+
+    def changes_messages(self) -> str:
+        """Return a parameter of the script that is about messages, empty if there is none."""
+        names = {item.name for item in fields(MessageFaultSettings)}
+        return next((name for entry in self.entries for name in entry.values if name in names), "")
+
+
+def read_fault_script(name: str) -> FaultScript:
+    """Return the script in a file, or with the name of one in config/faults; "" gives none.
+
+    Raises:
+        FileError: There is no such file, or it is no list of faults.
+        SettingsError: An entry is wrong; the message names it and the key.
+
+    """
+    if not name:
+        return FaultScript()
+    file = _found(name)
+    content = read_yaml(file)
+    if not isinstance(content, Mapping) or list(content) != ["faults"]:
+        raise FileError(f"file {file} is no fault script: it must have one key, 'faults', a list")
+    entries = content["faults"]
+    if not isinstance(entries, list) or not entries:
+        raise FileError(
+            f"file {file}: 'faults' must be a list of entries with 'at', and NAME: VALUE"
+        )
+    found = []
+    for number, entry in enumerate(entries, start=1):
+        try:
+            found.append(_entry(entry))
+        except SettingsError as error:
+            raise SettingsError(f"file {file}, entry {number}: {error}") from None
+    return FaultScript(tuple(found))
+
+
+def _found(name: str) -> Path:
+    """Return the file of a script."""
+    file = Path(name)
+    if file.suffix or file.exists():
+        return file
+    try:
+        return config_file(f"{_FOLDER}/{name}.yaml")
+    except FileError:
+        known = config_file(f"{_FOLDER}/push.yaml").parent.glob("*.yaml")
+        raise FileError(
+            f"fault script '{name}' is neither a file nor one of "
+            f"{', '.join(sorted(item.stem for item in known))}"
+        ) from None
+
+
+def _entry(entry: object) -> FaultEntry:
+    if not isinstance(entry, Mapping):
+        raise SettingsError(f"{entry!r} is no mapping: write 'at: SECONDS' and NAME: VALUE")
+    if "at" not in entry:
+        raise SettingsError("'at' is missing: say when it begins, in seconds")
+    at = _seconds("at", entry["at"], zero=True)
+    duration = _seconds("for", entry["for"]) if "for" in entry else math.inf
+    every = _seconds("every", entry["every"]) if "every" in entry else math.inf
+    if math.isfinite(every) and not duration < every:
+        raise SettingsError(f"'every' is {every:g} s, but must be longer than 'for'")
+    values = {}
+    for key, value in entry.items():
+        if key in _TIMES:
+            continue
+        field = _FIELDS.get(str(key))
+        if field is None:
+            near = difflib.get_close_matches(str(key), (*_CHANGEABLE, *_TIMES), n=1)
+            hint = f"did you mean '{near[0]}'?" if near else "docs/parameters.md lists them"
+            raise SettingsError(f"'{key}' is no parameter of the simulator; {hint}")
+        if field.spec.read_only:
+            raise SettingsError(f"'{key}' cannot change while running: {field.spec.read_only}")
+        values[field.name] = checked(field, value)
+    if not values:
+        raise SettingsError("it changes nothing: give NAME: VALUE of a parameter of the simulator")
+    build(SimulatorSettings, values)  # whether they fit each other
+    return FaultEntry(at, duration, every, values)
+
+
+def _seconds(key: str, value: object, *, zero: bool = False) -> float:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not (0.0 < value < 1e9 or (zero and value == 0)):  # type: ignore[operator]
+        least = "of at least 0" if zero else "above 0"
+        raise SettingsError(f"'{key}' is {value!r}, but must be a number {least} [s]")
+    return float(value)  # type: ignore[arg-type]
