@@ -22,11 +22,8 @@ RUN_TOPICS = (
     "path_follower/excitation",
     "path_follower/cost",
     "path_follower/configuration",
-<<<<<<< HEAD
     "path_follower/initial_weights",
-=======
     "path_follower/status",
->>>>>>> f17b1f2 (Stop the robot when the launcher dies or the terminal goes; publish ~/status)
     "/diagnostics",
 )
 

@@ -63,13 +63,9 @@ def test_every_step_is_recorded(bags):
         steps = round(100 * DURATION) + 1
         for topic in RUN_TOPICS:
             key = topic.removeprefix("path_follower/")
-<<<<<<< HEAD
             if key == "initial_weights":  # the run starts without
                 assert f"/{topic}" not in run.message_counts
-            elif key in ("path", "configuration", "/diagnostics"):
-=======
-            if key in ("path", "configuration", "status", "/diagnostics"):
->>>>>>> f17b1f2 (Stop the robot when the launcher dies or the terminal goes; publish ~/status)
+            elif key in ("path", "configuration", "status", "/diagnostics"):
                 assert run.message_counts[f"/{topic.lstrip('/')}"] >= 1
             else:
                 assert len(np.unique(run.series[key].values, axis=0)) > 0.9 * steps
