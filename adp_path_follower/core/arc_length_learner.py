@@ -35,6 +35,7 @@ from adp_path_follower.core.learner import (
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SpeedProfile
 
 _MOST_KNOTS = 8192  # that are remembered: 5 MB for each of critic and actor
 _MOST_SPREAD = 500  # knots between robots of a batch that learn together
@@ -42,6 +43,7 @@ _FARTHEST = 1e12  # knots
 _MOST_RESIDUAL = 0.5  # of the running cost: a critic that explains less is refused
 _LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular matrix
 _SAME_CURVATURE = 1e-3  # [1/m], and relative: a path that differs less is the same
+_SAME_SPEED = 1e-3  # relative
 _SAME_LENGTH = 1e-4  # relative
 _CURVATURE_NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvature
 MODEL_SETTINGS = (  # that decide what is learned
@@ -67,18 +69,25 @@ class ArcLengthLearner:
 
     """
 
-    def __init__(self, settings: Settings, path: Path, riccati: RiccatiSchedule) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        path: Path,
+        riccati: RiccatiSchedule,
+        profile: SpeedProfile | None = None,
+    ) -> None:
         """Start from the initial weights of the settings everywhere."""
         learning = settings.learning
         self._settings, self._learning, self._path = settings, learning, path
         self._riccati = riccati
+        self._profile = profile if profile is not None else SpeedProfile(path, settings)
         self._size = len(learning.value_basis.labels)
         # Of the actor's projection: it never comes between the robot and its safe policy.
         safe = learning.value_basis.quadratic_weights(riccati.table)
         self._bound = max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
         count = max(1, math.ceil(path.length / learning.knot_spacing))
         self._spacing = path.length / count if path.closed else learning.knot_spacing
-        self._model = KnotModel(settings, self._spacing)
+        self._model = KnotModel(settings, self._spacing, self._profile.varies)
         self._window = max(2, round(learning.preview_distance / self._spacing))
         # An open path goes on straight beyond its ends, for one preview. The knots of a closed one
         # that fits into the memory come round again; of a longer one every lap has its own.
@@ -88,6 +97,7 @@ class ArcLengthLearner:
         self._critic = np.zeros((capacity, self._size))
         self._actor = np.zeros((capacity, self._size))
         self._curvatures = np.zeros(capacity)
+        self._speeds = np.zeros(capacity)
         self.reset()
 
     def reset(self, where: np.ndarray | None = None) -> None:
@@ -126,7 +136,8 @@ class ArcLengthLearner:
         slope = critic_step / self._spacing
         if not (np.isfinite(actor).all() and np.isfinite(critic).all()):
             sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
-            safe = self._safe(self._path.curvature(arc_length))
+            speed = self._profile.model_speed(arc_length)
+            safe = self._safe(self._path.curvature(arc_length), speed)
             sound = sound[..., None]
             critic, actor = np.where(sound, critic, safe), np.where(sound, actor, safe)
             slope = np.where(sound, slope, 0.0)
@@ -208,12 +219,14 @@ class ArcLengthLearner:
         old, new = previous._settings, self._settings
         if (old.target, old.cost, old.limits) != (new.target, new.cost, new.limits):
             return
+        if previous._profile != self._profile:
+            return
         if any(
             getattr(old.learning, name) != getattr(new.learning, name) for name in MODEL_SETTINGS
         ):
             return
         self._critic, self._actor = previous._critic, previous._actor
-        self._curvatures = previous._curvatures
+        self._curvatures, self._speeds = previous._curvatures, previous._speeds
         self._owner, self._reach = previous._owner, previous._reach
 
     def learned(self) -> LearnedWeights:
@@ -232,6 +245,7 @@ class ArcLengthLearner:
             reach=self._reach,
             knots=knots[order],
             curvature=self._curvatures[slots],
+            speed=self._speeds[slots],
             critic=self._critic[slots],
             actor=self._actor[slots],
         )
@@ -256,11 +270,13 @@ class ArcLengthLearner:
             self._curvature(knots), learned.curvature, rtol=_SAME_CURVATURE, atol=_SAME_CURVATURE
         ):
             return "they were learned along a path that bends elsewhere than this one"
+        if not np.allclose(self._speed(knots), learned.speed, rtol=_SAME_SPEED):
+            return "they were learned at other speeds along the path than its profile has now"
         slots = knots % len(self._owner)
         if len(np.unique(slots)) < len(knots):
             return "they hold more places of the path than are remembered"
         self._owner[slots] = knots
-        self._curvatures[slots] = learned.curvature
+        self._curvatures[slots], self._speeds[slots] = learned.curvature, learned.speed
         self._critic[slots], self._actor[slots] = learned.critic, learned.actor
         self._reach = min(learned.reach, self._window)
         return ""
@@ -268,7 +284,8 @@ class ArcLengthLearner:
     def _begin(self, near: int, far: int) -> None:
         """Begin a sweep from the Riccati solution at knot `far` down to knot `near`."""
         self._near, self._length, self._refused = near, far - near, 0
-        self._ahead = self._safe(self._curvature(np.array([far])))[0]
+        end = np.array([far])
+        self._ahead = self._safe(self._curvature(end), self._speed(end))[0]
         self._take(far - 1)
 
     def _take(self, knot: int) -> None:
@@ -276,6 +293,7 @@ class ArcLengthLearner:
         self._knot = knot
         self._slot = int(self._slots(np.array([knot]))[0])
         self._knot_curvature = float(self._curvatures[self._slot])
+        self._knot_speed = float(self._speeds[self._slot]) if self._profile.varies else None
         self._done, self._time = 0, 0.0
         self._equations: NormalEquations | None = None
 
@@ -284,7 +302,7 @@ class ArcLengthLearner:
         assert self._knot is not None  # `_begin` took one
         end = min(self._done + count, self._enough)
         samples = slice(self._done, end)
-        part = self._model.equations(samples, self._ahead, self._knot_curvature)
+        part = self._model.equations(samples, self._ahead, self._knot_curvature, self._knot_speed)
         self._equations = part if self._equations is None else self._equations + part
         self._done, self._time = end, self._time + dt
         if end < self._enough:
@@ -304,7 +322,8 @@ class ArcLengthLearner:
         if refusal:
             self._refused += 1
             self.problem = refusal
-            safe = self._safe(np.array([self._knot_curvature]))[0]
+            speed = None if self._knot_speed is None else np.array([self._knot_speed])
+            safe = self._safe(np.array([self._knot_curvature]), speed)[0]
             self._critic[self._slot] = self._actor[self._slot] = self._ahead = safe
             return
         critic = self._latest.critic_weights
@@ -362,10 +381,10 @@ class ArcLengthLearner:
         if new.any():
             numbers = np.unique(number[new])
             places = numbers % len(self._owner)
-            curvature = self._curvature(numbers)
-            weights = initial_weights(self._learning, self._riccati, curvature)
+            curvature, speed = self._curvature(numbers), self._speed(numbers)
+            weights = initial_weights(self._learning, self._riccati, curvature, speed)
             self._critic[places], self._actor[places] = weights.critic, weights.actor
-            self._curvatures[places] = curvature
+            self._curvatures[places], self._speeds[places] = curvature, speed
             self._owner[places] = numbers
         return np.asarray(slots)
 
@@ -374,7 +393,12 @@ class ArcLengthLearner:
         arc_length = (knots[:, None] + _CURVATURE_NODES) * self._spacing
         return np.asarray(self._path.curvature(arc_length).mean(axis=1))
 
-    def _safe(self, curvature: FloatArray) -> FloatArray:
-        """Return the weights of the Riccati solution at curvatures (...), shape (..., L)."""
+    def _speed(self, knots: np.ndarray) -> FloatArray:
+        """Return the mean speed [m/s] about each knot, as models take it, shape (K,)."""
+        arc_length = (knots[:, None] + _CURVATURE_NODES) * self._spacing
+        return np.asarray(self._profile.model_speed(arc_length).mean(axis=1))
+
+    def _safe(self, curvature: FloatArray, speed: FloatArray | None) -> FloatArray:
+        """Return the Riccati solution's weights at curvatures and speeds (...), shape (..., L)."""
         basis = self._learning.value_basis
-        return basis.quadratic_weights(self._riccati.matrix(curvature))
+        return basis.quadratic_weights(self._riccati.matrix(curvature, speed))

@@ -17,6 +17,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SpeedProfile
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def bellman_errors(
 class SampledModel:
     """The model of the error dynamics at a grid of sampled states, for Bellman extrapolation."""
 
-    def __init__(self, settings: Settings, path: Path) -> None:
+    def __init__(self, settings: Settings, path: Path, profile: SpeedProfile | None = None) -> None:
         """Prepare what does not depend on the weights at every sample (N of them)."""
         basis = settings.learning.value_basis
         self.states = sample_grid(
@@ -72,10 +73,12 @@ class SampledModel:
         )
         arc_length = error_dynamics.arc_length_of(self.states[:, 3], settings.target)
         curvature = path.curvature(arc_length)
+        varies = profile is not None and profile.varies
+        v_des = profile.model_speed(arc_length) if profile is not None and varies else None
         gradient = basis.gradient(self.states)
-        drift = error_dynamics.drift(self.states, curvature, settings.target)
+        drift = error_dynamics.drift(self.states, curvature, settings.target, v_des)
         self._limits = settings.limits
-        self._feedforward = error_dynamics.feedforward(curvature, settings.target).T
+        self._feedforward = error_dynamics.feedforward(curvature, settings.target, v_des).T
         self._drift_regressor = np.einsum("nlz,nz->nl", gradient, drift)  # sigma' f, (N, L)
         input_gradient = np.matmul(gradient, error_dynamics.input_matrix(self.states))
         # sigma' g with the two inputs first, (2, N, L): each product below is then contiguous.

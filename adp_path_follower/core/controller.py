@@ -12,6 +12,7 @@ from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path, PathFrame
 from adp_path_follower.core.settings import CostSettings, Settings, TargetSettings
+from adp_path_follower.core.speed_profile import SpeedReference
 
 
 @dataclass(frozen=True)
@@ -51,22 +52,32 @@ class VirtualTarget:
 
     Attributes:
         arc_length: s_p [m], shape (...).
+        v_des: v_des there [m/s], shape (...); None if it is `desired_speed` everywhere.
 
     """
 
-    def __init__(self, path: Path, target: TargetSettings, arc_length: ArrayLike = 0.0) -> None:
-        """Start at arc lengths [m] of the path."""
+    def __init__(
+        self,
+        path: Path,
+        target: TargetSettings,
+        arc_length: ArrayLike = 0.0,
+        reference: SpeedReference | None = None,
+    ) -> None:
+        """Start at arc lengths [m] of the path, with `desired_speed` if there is no reference."""
         self.arc_length = np.asarray(arc_length, dtype=float)
-        self._path, self._target = path, target
+        self.v_des: FloatArray | None = None
+        self._path, self._target, self._reference = path, target, reference
         self._previous_error: FloatArray | None = None
 
     def hold(self) -> None:
         """Let no time pass in the next `move`."""
         self._previous_error = None
 
-    def copy(self, target: TargetSettings) -> VirtualTarget:
+    def copy(
+        self, target: TargetSettings, reference: SpeedReference | None = None
+    ) -> VirtualTarget:
         """Return a target at the same place that moves by other settings."""
-        other = VirtualTarget(self._path, target, self.arc_length)
+        other = VirtualTarget(self._path, target, self.arc_length, reference)
         other._previous_error = self._previous_error
         return other
 
@@ -78,14 +89,22 @@ class VirtualTarget:
         if self.arc_length.shape != pose.shape[:-1]:  # one start for a batch
             self.arc_length = np.broadcast_to(self.arc_length, pose.shape[:-1])
         if self._previous_error is not None and dt > 0.0:
-            speed_before = error_dynamics.target_speed(self._previous_error, self._target)
+            v_des = self._speed(self.arc_length)
+            speed_before = error_dynamics.target_speed(self._previous_error, self._target, v_des)
             guess = self.arc_length + dt * speed_before
             error = error_dynamics.tracking_error(pose, self._path.frame(guess).pose)
-            speed_after = error_dynamics.target_speed(error, self._target)
+            v_des = self._speed(guess)
+            speed_after = error_dynamics.target_speed(error, self._target, v_des)
             self.arc_length = self.arc_length + 0.5 * dt * (speed_before + speed_after)
+            if self._reference is not None and self._reference.profile.stops:
+                self.arc_length = np.minimum(self.arc_length, self._path.length)
+        self.v_des = self._speed(self.arc_length)
         frame = self._path.frame(self.arc_length)
         self._previous_error = error_dynamics.tracking_error(pose, frame.pose)
         return frame, self._previous_error
+
+    def _speed(self, arc_length: FloatArray) -> FloatArray | None:
+        return None if self._reference is None else self._reference.speed(arc_length)
 
 
 class RunningCost:

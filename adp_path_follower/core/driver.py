@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from adp_path_follower.core.actuation import Actuation
 from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
@@ -33,6 +34,7 @@ class Driver:
         learning_resets: How often learning has been reset.
         restarts: How often following has begun anew from where the robot was then.
         saved_weights: Weights of another run to start from, None without.
+        stops: How often the robot has been told to stop after a command.
 
     """
 
@@ -55,6 +57,8 @@ class Driver:
         self.path: Path | None = None
         self.learning_resets = 0
         self.restarts = 0
+        self.stops = 0
+        self._actuation = Actuation()
         self._follower: PathFollower | None = None
         self._learned: PathFollower | None = None  # the follower of the path before
 
@@ -65,10 +69,8 @@ class Driver:
 
     @property
     def at_goal(self) -> bool:
-        """Return whether the target is at the end of an open path."""
-        if self._follower is None or self._follower.path.closed:
-            return False
-        return float(self._follower.arc_length) >= self._follower.path.length
+        """Return whether the robot is at the end of an open path."""
+        return self._follower is not None and bool(self._follower.goal.reached)
 
     def follow(self, path: Path | None) -> None:
         """Follow another path from the next step on, or none."""
@@ -121,6 +123,14 @@ class Driver:
         self.restarts += 1
         return True
 
+    def stopped(self) -> bool:
+        """Note that the robot was told to stop; return if it had been told anything else."""
+        if self._actuation.stopped:
+            return False
+        self._actuation.stop()
+        self.stops += 1
+        return True
+
     def step(self, pose: FloatArray, time: int) -> FollowerOutput:
         """Return the command for a pose [x, y, theta] (3,) at a time [ns]; there must be a path.
 
@@ -135,7 +145,7 @@ class Driver:
         assert self.path is not None  # the caller waits for one
         beginning = self.settings.controller.path_start == "beginning"
         arc_length = 0.0 if beginning else self.path.nearest(pose)
-        follower = PathFollower(self.settings, self.path, arc_length)
+        follower = PathFollower(self.settings, self.path, arc_length, actuation=self._actuation)
         if self.saved_weights is not None:
             problem = follower.start_from(self.saved_weights)
             if problem:

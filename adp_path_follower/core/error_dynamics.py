@@ -2,7 +2,8 @@
 
 The state is zeta = [s, y, theta, phi]: the position error along the tangent [m] and the normal
 [m] of the path, the heading error [rad], and the compact path state phi = tanh(k2 s_p). Every
-function broadcasts over leading axes.
+function broadcasts over leading axes. v_des is the setting `desired_speed`, or what a speed profile
+has at each state's place.
 """
 
 from __future__ import annotations
@@ -23,10 +24,13 @@ def tracking_error(pose: FloatArray, frame_pose: FloatArray) -> FloatArray:
     return components(cos * dx + sin * dy, cos * dy - sin * dx, theta)
 
 
-def target_speed(error: FloatArray, target: TargetSettings) -> FloatArray:
+def target_speed(
+    error: FloatArray, target: TargetSettings, v_des: FloatArray | None = None
+) -> FloatArray:
     """Return the virtual target's speed s_p' = v_des cos(theta) + k1 s [m/s], shape (...)."""
     along, _, theta, *_ = unpacked(error)
-    return target.desired_speed * np.cos(theta) + target.target_gain * along
+    speed = target.desired_speed if v_des is None else v_des
+    return speed * np.cos(theta) + target.target_gain * along
 
 
 def path_state(arc_length: FloatArray, target: TargetSettings) -> FloatArray:
@@ -39,24 +43,33 @@ def arc_length_of(phi: FloatArray, target: TargetSettings) -> FloatArray:
     return np.asarray(np.arctanh(phi) / target.path_state_gain)
 
 
-def feedforward(curvature: FloatArray, target: TargetSettings) -> FloatArray:
+def feedforward(
+    curvature: FloatArray, target: TargetSettings, v_des: FloatArray | None = None
+) -> FloatArray:
     """Return the input that keeps a robot on the path, [v_ss, w_ss] = v_des [1, kappa]."""
-    speed = np.full_like(curvature, target.desired_speed)
+    speed = np.full_like(curvature, target.desired_speed if v_des is None else v_des)
     return components(speed, speed * curvature)
 
 
-def drift(zeta: FloatArray, curvature: FloatArray, target: TargetSettings) -> FloatArray:
+def drift(
+    zeta: FloatArray,
+    curvature: FloatArray,
+    target: TargetSettings,
+    v_des: FloatArray | None = None,
+) -> FloatArray:
     """Return f of zeta' = f(zeta) + g(zeta) u, shape (..., 4).
 
     Args:
         zeta: States, shape (..., 4).
         curvature: kappa [1/m] at each state's place on the path, shape (...).
-        target: v_des, k1 and k2.
+        target: k1, k2 and, unless it is given, v_des.
+        v_des: Speed along the path [m/s] at each state's place, shape (...).
 
     """
     s, y, theta, phi = unpacked(zeta)
-    speed = target_speed(zeta, target)
-    v_des = target.desired_speed
+    speed = target_speed(zeta, target, v_des)
+    if v_des is None:
+        v_des = np.float64(target.desired_speed)
     # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
     return components(
         speed * (curvature * y - 1.0) + v_des * np.cos(theta),

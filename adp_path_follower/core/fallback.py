@@ -41,16 +41,20 @@ class RiccatiPolicy:
     def modified_input(
         self, zeta: FloatArray, curvature: FloatArray, feedforward: FloatArray
     ) -> FloatArray:
-        """Return u within the limits at states (..., 4), shape (..., 2)."""
+        """Return u within the limits at states (..., 4) for [v_ss, w_ss], shape (..., 2)."""
         input_gradient = np.matmul(self._basis.gradient(zeta), input_matrix(zeta))
-        weights = self._basis.quadratic_weights(self._riccati.matrix(curvature))
+        matrix = self._riccati.matrix(curvature, feedforward[..., 0][()])
+        weights = self._basis.quadratic_weights(matrix)
         wanted = actor_input(weights, input_gradient, self._input_cost_inverse)
         return saturate(wanted, feedforward, self._limits)
 
-    def value(self, zeta: FloatArray, curvature: FloatArray) -> FloatArray:
+    def value(
+        self, zeta: FloatArray, curvature: FloatArray, v_des: FloatArray | None = None
+    ) -> FloatArray:
         """Return q^T P q at states (..., 4), shape (...)."""
         half_angle_error = half_angle_state(zeta)[..., :3]
-        pulled = np.matmul(self._riccati.matrix(curvature), half_angle_error[..., None])[..., 0]
+        matrix = self._riccati.matrix(curvature, v_des)
+        pulled = np.matmul(matrix, half_angle_error[..., None])[..., 0]
         return np.asarray((half_angle_error * pulled).sum(axis=-1))
 
 

@@ -8,17 +8,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.actuation import Actuation
 from adp_path_follower.core.arc_length_learner import ArcLengthLearner
 from adp_path_follower.core.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.controller import ControlOutput, RunningCost, VirtualTarget
 from adp_path_follower.core.fallback import Distrust, RiccatiPolicy, is_doubtful
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.goal import Goal
 from adp_path_follower.core.learner import Evidence, Learner, LocalWeights, Weights
 from adp_path_follower.core.path import Path, PathFrame
 from adp_path_follower.core.path_state_learner import PathStateLearner
 from adp_path_follower.core.policy import actor_input, saturate
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SpeedProfile, SpeedReference
 from adp_path_follower.core.weights_file import SavedWeights, difference, problem_settings
 from adp_path_follower.core.wide_region import WideRegion
 
@@ -63,6 +66,7 @@ class _Situation:
     Attributes:
         zeta: The state, shape (..., 4).
         curvature: kappa at the target [1/m], shape (...).
+        v_des: Speed along the path there [m/s], shape (...); None where it does not vary.
         feedforward: [v_ss, w_ss], shape (..., 2).
         drift_gradient: sigma' f, shape (..., L).
         input_gradient: sigma' g, shape (..., L, 2).
@@ -74,6 +78,7 @@ class _Situation:
 
     zeta: FloatArray
     curvature: FloatArray
+    v_des: FloatArray | None
     feedforward: FloatArray
     drift_gradient: FloatArray
     input_gradient: FloatArray
@@ -91,6 +96,8 @@ class PathFollower:
     Attributes:
         settings: What it was made with.
         path: The path that it follows.
+        profile: The speed along it.
+        goal: Whether its end is reached.
         cost: J so far, by the trapezoidal rule over the control steps, shape (...).
 
     """
@@ -101,6 +108,7 @@ class PathFollower:
         path: Path,
         arc_length: ArrayLike = 0.0,
         weights: Weights | None = None,
+        actuation: Actuation | None = None,
     ) -> None:
         """Start at an arc length [m] of the path.
 
@@ -110,17 +118,22 @@ class PathFollower:
             arc_length: Where the virtual target starts [m], one for each robot of a batch.
             weights: Where the one set of weights of scheduling: path_state starts; by default
                 the settings' initial weights.
+            actuation: What the robot has been told lately; by default it is at rest.
 
         """
         self.settings = settings
         self.path = path
-        self._target = VirtualTarget(path, settings.target, arc_length)
-        riccati = RiccatiSchedule(path, settings.target, settings.cost)
+        self.profile = SpeedProfile(path, settings)
+        self.goal = Goal(path, settings.motion, self.profile.stops)
+        self._actuation = actuation if actuation is not None else Actuation()
+        self._reference = SpeedReference(self.profile, settings)
+        self._target = VirtualTarget(path, settings.target, arc_length, self._reference)
+        riccati = RiccatiSchedule(path, settings.target, settings.cost, self.profile)
         self._learner: Learner
         if settings.learning.scheduling == "arc_length":
-            self._learner = ArcLengthLearner(settings, path, riccati)
+            self._learner = ArcLengthLearner(settings, path, riccati, self.profile)
         else:
-            self._learner = PathStateLearner(settings, path, riccati, weights)
+            self._learner = PathStateLearner(settings, path, riccati, weights, self.profile)
         far_policy = settings.policy.wide_region != "none"
         self._wide_region = WideRegion(settings, riccati) if far_policy else None
         safe_policy = settings.policy.fallback != "none"
@@ -130,7 +143,6 @@ class PathFollower:
         self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
-        self._time: int | None = None
 
     @property
     def arc_length(self) -> FloatArray:
@@ -155,11 +167,18 @@ class PathFollower:
 
         Moves the virtual target over the past period, computes error and command there, then
         learns for one period. The first step, and the first one after `hold`, lets no time pass.
+        With an actuation delay, all this is where the robot will be when the command takes effect.
         """
+        elapsed = max(dt, 0.0)  # since the last command, which another follower may have given
+        pose = self._actuation.predicted(pose, self.settings.motion.actuation_delay, elapsed)
         if self._previous is None or dt < 0.0:
             dt = 0.0
+        if self._previous is None or self._actuation.stopped:
+            self._reference.launch(self.arc_length, self._actuation.command[..., 0])
         frame, error = self._target.move(pose, dt)
-        output = self._evaluate(frame, error, dt)
+        output = self._evaluate(frame, error, dt, elapsed)
+        self._actuation.send(output.command, self.settings, elapsed)
+        self.goal.look(pose, output, dt)
         if self._previous is not None:
             mean_rate = 0.5 * (self._previous.running_cost + output.running_cost)
             self.cost = self.cost + dt * mean_rate
@@ -174,10 +193,11 @@ class PathFollower:
         Like `step` with the time since the last call. After a gap longer than `odom_timeout`, and
         after a step back of the clock, no time passes: nobody knows what the robot did meanwhile.
         """
-        elapsed = 0.0 if self._time is None else (time - self._time) * 1e-9
+        before = self._actuation.time
+        elapsed = 0.0 if before is None else (time - before) * 1e-9
         if not 0.0 < elapsed <= self.settings.controller.odom_timeout:
             self.hold()
-        self._time = time
+        self._actuation.time = time
         return self.step(pose, elapsed)
 
     def learn_at_rest(self, pose: FloatArray, distance: float = 20.0) -> bool:
@@ -192,11 +212,21 @@ class PathFollower:
         frame, error = self._target.move(pose, 0.0)
         self._target.hold()
         return self._learner.settle(
-            lambda: self._evaluate(frame, error, 0.0).measured, self.arc_length, distance
+            lambda: self._evaluate(frame, error, 0.0, 0.0).measured, self.arc_length, distance
         )
 
-    def _evaluate(self, frame: PathFrame, error: FloatArray, dt: float) -> FollowerOutput:
-        """Return command, cost and Bellman errors of the present weights, dt [s] after the last."""
+    def _evaluate(
+        self, frame: PathFrame, error: FloatArray, dt: float, elapsed: float
+    ) -> FollowerOutput:
+        """Return command, cost and Bellman errors of the present weights.
+
+        Args:
+            frame: At the target.
+            error: To it, shape (..., 3).
+            dt: Time since the last step [s].
+            elapsed: Time since the last command [s].
+
+        """
         here = self._situation(frame, error)
         wanted = actor_input(here.local.weights.actor, here.input_gradient, self._inverse_cost)
         learned = applied = saturate(wanted, here.feedforward, self.settings.limits)
@@ -207,10 +237,14 @@ class PathFollower:
             applied = applied + doubt[..., None] * (safe - applied)
         if self._wide_region is not None:
             applied = self._wide_region.blend(applied, here.zeta, here.curvature, here.feedforward)
+        wanted = applied + here.feedforward
+        command = self._actuation.limited(wanted, self.settings, elapsed)
+        if command is not wanted and (command != wanted).any():
+            applied = command - here.feedforward
         if applied is not learned:
             running_cost, measured = self._measure(here, applied)
         return FollowerOutput(
-            command=applied + here.feedforward,
+            command=command,
             modified_input=applied,
             error=error,
             target_pose=frame.pose,
@@ -225,7 +259,7 @@ class PathFollower:
 
     def _situation(self, frame: PathFrame, error: FloatArray) -> _Situation:
         """Return the value function and the model at an error from a frame of the path."""
-        target, curvature = self.settings.target, frame.curvature
+        target, curvature, v_des = self.settings.target, frame.curvature, self._target.v_des
         phi = error_dynamics.path_state(self.arc_length, target)
         zeta = np.concatenate([error, phi[..., None]], axis=-1)
         terms, gradient = self.settings.learning.value_basis.value_and_gradient(zeta)
@@ -233,12 +267,15 @@ class PathFollower:
         local = self._learner.local(self.arc_length)
         passing = np.zeros(())
         if local.slope is not None:  # the value function changes along the path by itself
-            passing = error_dynamics.target_speed(error, target) * (local.slope * terms).sum(-1)
+            passing = error_dynamics.target_speed(error, target, v_des) * (local.slope * terms).sum(
+                -1
+            )
         return _Situation(
             zeta=zeta,
             curvature=curvature,
-            feedforward=error_dynamics.feedforward(curvature, target),
-            drift_gradient=_times(gradient, error_dynamics.drift(zeta, curvature, target)),
+            v_des=v_des,
+            feedforward=error_dynamics.feedforward(curvature, target, v_des),
+            drift_gradient=_times(gradient, error_dynamics.drift(zeta, curvature, target, v_des)),
             input_gradient=np.matmul(gradient, input_matrix),
             local=local,
             value=(local.weights.critic * terms).sum(-1),
@@ -262,7 +299,7 @@ class PathFollower:
         """Return the share of the Riccati policy, from 0 to 1, shape (...)."""
         if self._fallback is None:
             return np.zeros_like(running_cost)
-        safe_value = self._fallback.value(here.zeta, here.curvature)
+        safe_value = self._fallback.value(here.zeta, here.curvature, here.v_des)
         doubtful = is_doubtful(measured.error[..., 0], running_cost, here.value, safe_value)
         return self._distrust.share(doubtful, dt)
 
@@ -271,6 +308,7 @@ class PathFollower:
         self._previous = None
         self._target.hold()
         self._distrust.reset()
+        self._actuation.stop(forget=True)
 
     def reset_learning(self, where: np.ndarray | None = None) -> None:
         """Return to the initial weights, of the robots of a batch where (...) is true."""
@@ -295,10 +333,14 @@ class PathFollower:
 
     def reconfigured(self, settings: Settings) -> PathFollower:
         """Return a follower with other settings at the same place that has taken over from this."""
-        other = PathFollower(settings, self.path)
+        other = PathFollower(settings, self.path, actuation=self._actuation)
         other.take_over(self)
-        other._target = self._target.copy(settings.target)
-        other.cost, other._previous, other._time = self.cost, self._previous, self._time
+        other._target = self._target.copy(settings.target, other._reference)
+        other.cost, other._previous = self.cost, self._previous
+        if self._previous is not None:
+            v_des = self._reference.speed(self.arc_length)
+            present = self.settings.target.desired_speed if v_des is None else v_des
+            other._reference.launch(self.arc_length, np.asarray(present))
         return other
 
 

@@ -7,7 +7,7 @@ error of the knot at s_p is
     omega = sigma'(e) (f(e, kappa) + g(e) u),
 
 linear in the knot's weights w once those of the knot ahead are known. f is affine in the
-curvature, so what is prepared once serves every knot of every path.
+curvature and in the speed v_des, so what is prepared once serves every knot of every path.
 """
 
 from __future__ import annotations
@@ -94,15 +94,32 @@ def fit(equations: NormalEquations) -> KnotFit:
     )
 
 
+@dataclass(frozen=True)
+class _Drift:
+    """What of the model depends on the speed along the path, for N samples.
+
+    Attributes:
+        straight: sigma' f at kappa = 0, shape (N, L).
+        turning: Its change with kappa, shape (N, L).
+        passing: sigma s_p' / h, shape (N, L).
+
+    """
+
+    straight: FloatArray
+    turning: FloatArray
+    passing: FloatArray
+
+
 class KnotModel:
     """The model of the error dynamics at scattered sampled states."""
 
-    def __init__(self, settings: Settings, spacing: float) -> None:
+    def __init__(self, settings: Settings, spacing: float, varies: bool = False) -> None:
         """Prepare what depends neither on weights nor on curvature, at N samples.
 
         Args:
             settings: All settings.
             spacing: Distance h between knots [m].
+            varies: Whether knots have speeds of their own.
 
         """
         learning = settings.learning
@@ -111,17 +128,30 @@ class KnotModel:
         )
         zeta = np.column_stack([self.states, np.zeros(len(self.states))])
         basis, target = learning.value_basis, settings.target
-        gradient = basis.gradient(zeta)
-        nowhere = np.zeros(len(zeta))
-        straight = error_dynamics.drift(zeta, nowhere, target)
-        turning = error_dynamics.drift(zeta, nowhere + 1.0, target) - straight
-        self._straight = np.einsum("nlz,nz->nl", gradient, straight)  # sigma' f at kappa = 0
-        self._turning = np.einsum("nlz,nz->nl", gradient, turning)  # its change with kappa
+        gradient, value = basis.gradient(zeta), basis.value(zeta)
+
+        def drift(v_des: float) -> _Drift:
+            nowhere, fast = np.zeros(len(zeta)), np.full(len(zeta), v_des)
+            straight = error_dynamics.drift(zeta, nowhere, target, fast)
+            turning = error_dynamics.drift(zeta, nowhere + 1.0, target, fast) - straight
+            speed = error_dynamics.target_speed(zeta, target, fast)
+            return _Drift(
+                np.einsum("nlz,nz->nl", gradient, straight),
+                np.einsum("nlz,nz->nl", gradient, turning),
+                value * speed[:, None] / spacing,
+            )
+
+        self._drift = drift(target.desired_speed)
+        if varies:  # it is affine in v_des
+            self._still, fast = drift(0.0), drift(1.0)
+            self._by_speed = _Drift(
+                fast.straight - self._still.straight,
+                fast.turning - self._still.turning,
+                fast.passing - self._still.passing,
+            )
         input_gradient = np.matmul(gradient, error_dynamics.input_matrix(zeta))
         self._linear = np.ascontiguousarray(input_gradient[..., 0])  # sigma' g, (N, L) each
         self._angular = np.ascontiguousarray(input_gradient[..., 1])
-        speed = error_dynamics.target_speed(zeta, target)
-        self._passing = basis.value(zeta) * speed[:, None] / spacing  # sigma s_p' / h
         self._target, self._limits = target, settings.limits
         self._input_cost = settings.cost.input_cost_matrix()
         self._half_inverse = -0.5 * np.linalg.inv(self._input_cost)
@@ -141,6 +171,7 @@ class KnotModel:
         samples: slice,
         ahead: FloatArray,
         curvature: float,
+        v_des: float | None = None,
     ) -> NormalEquations:
         """Return the normal equations of a knot's critic weights over some of the samples.
 
@@ -148,20 +179,21 @@ class KnotModel:
             samples: Which samples.
             ahead: Wc of the knot ahead, whose policy is evaluated, shape (L,).
             curvature: kappa [1/m] of the path at the knot.
+            v_des: Speed [m/s] there, if it is another than `desired_speed`.
 
         """
         linear, angular = self._linear[samples], self._angular[samples]
         # One input after the other in memory: the operations on all samples then are fast.
         inputs = (self._half_inverse @ np.array([linear @ ahead, angular @ ahead])).T
         if not self._limits.unlimited:
-            feedforward = error_dynamics.feedforward(np.asarray(curvature), self._target)
+            speed = None if v_des is None else np.asarray(v_des)
+            feedforward = error_dynamics.feedforward(np.asarray(curvature), self._target, speed)
             inputs = saturate(inputs, feedforward, self._limits)
-        regressor = self._straight[samples] + curvature * self._turning[samples]
+        regressor, passing = self._drift_at(samples, curvature, v_des)
         regressor += inputs[:, :1] * linear
         regressor += inputs[:, 1:] * angular
         importance = self._importance[samples] / (1.0 + np.einsum("nl,nl->n", regressor, regressor))
         running_cost = self._state_cost[samples] + (inputs @ self._input_cost * inputs).sum(axis=1)
-        passing = self._passing[samples]
         constant = running_cost + passing @ ahead
         regressor -= passing
         root = np.sqrt(importance)
@@ -172,6 +204,20 @@ class KnotModel:
             offset=float(importance @ (constant * constant)),
             running_cost=float(importance @ (running_cost * running_cost)),
         )
+
+    def _drift_at(
+        self, samples: slice, curvature: float, v_des: float | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return sigma' f and sigma s_p' / h of some samples at a knot, shape (n, L) each."""
+        if v_des is None:
+            drift = self._drift
+            regressor = drift.straight[samples] + curvature * drift.turning[samples]
+            return regressor, drift.passing[samples]
+        still, moving = self._still, self._by_speed
+        regressor = still.straight[samples] + curvature * still.turning[samples]
+        regressor += v_des * moving.straight[samples]
+        regressor += (v_des * curvature) * moving.turning[samples]
+        return regressor, still.passing[samples] + v_des * moving.passing[samples]
 
 
 def scattered_samples(count: int, half_widths: tuple[float, ...], seed: int) -> FloatArray:

@@ -62,6 +62,7 @@ class LearnedWeights:
         reach: How many knots ahead the next sweep reaches.
         knots: Numbers of the places along the path, rising, shape (K,).
         curvature: kappa [1/m] of the path there, shape (K,).
+        speed: v_des [m/s] there, shape (K,).
         critic: Critic weights there, shape (K, L).
         actor: Actor weights there, shape (K, L).
 
@@ -72,6 +73,7 @@ class LearnedWeights:
     reach: int
     knots: np.ndarray
     curvature: FloatArray
+    speed: FloatArray
     critic: FloatArray
     actor: FloatArray
 
@@ -130,12 +132,18 @@ class Learner(Protocol):
 
 
 def initial_weights(
-    learning: LearningSettings, riccati: RiccatiSchedule, curvature: FloatArray
+    learning: LearningSettings,
+    riccati: RiccatiSchedule,
+    curvature: FloatArray,
+    speed: FloatArray | None = None,
 ) -> Weights:
-    """Return the weights to start from at curvatures (...) [1/m], shape (..., L) each."""
+    """Return the weights to start from at curvatures [1/m] and speeds [m/s] (...), (..., L) each.
+
+    The speed matters where it varies along the path.
+    """
     size = len(learning.value_basis.labels)
     if learning.initial_weights == "riccati":
-        weights = learning.value_basis.quadratic_weights(riccati.matrix(curvature))
+        weights = learning.value_basis.quadratic_weights(riccati.matrix(curvature, speed))
         return Weights(weights, weights.copy())
 
     def listed(values: tuple[float, ...]) -> FloatArray:

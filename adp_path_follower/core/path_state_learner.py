@@ -21,6 +21,7 @@ from adp_path_follower.core.learner import (
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SpeedProfile
 
 _REST_STEP = 0.1  # [s] of learning at rest
 _REST_STEPS = 6000
@@ -39,12 +40,18 @@ class PathStateLearner:
     problem = ""
 
     def __init__(
-        self, settings: Settings, path: Path, riccati: RiccatiSchedule, weights: Weights | None
+        self,
+        settings: Settings,
+        path: Path,
+        riccati: RiccatiSchedule,
+        weights: Weights | None,
+        profile: SpeedProfile | None = None,
     ) -> None:
         """Start from weights, by default from the initial ones of the settings."""
         self._learning, self._path = settings.learning, path
-        self._model = SampledModel(settings, path)
-        self._initial = initial_weights(settings.learning, riccati, np.zeros(()))
+        self._model = SampledModel(settings, path, profile)
+        speed = np.asarray(settings.target.desired_speed)
+        self._initial = initial_weights(settings.learning, riccati, np.zeros(()), speed)
         self.weights = self._initial if weights is None else weights
         self._swept: tuple[Weights, BellmanErrors] | None = None
 
@@ -109,7 +116,7 @@ class PathStateLearner:
         critic, actor = self.weights.critic[None], self.weights.actor[None]
         nowhere = np.zeros(1, np.int64)
         length, closed = self._path.length, self._path.closed
-        return LearnedWeights(length, closed, 0, nowhere, np.zeros(1), critic, actor)
+        return LearnedWeights(length, closed, 0, nowhere, np.zeros(1), np.zeros(1), critic, actor)
 
     def start_from(self, learned: LearnedWeights) -> str:
         """Go on from the weights of another run, on whatever path."""

@@ -113,22 +113,99 @@ class LimitSettings:
         symbol="ω_max",
     )
 
+    speed_limit: float = setting(
+        math.inf,
+        "Highest linear velocity for now, in either direction, as the topic speed_limit sets it.",
+        unit="m/s",
+        low=POSITIVE,
+    )
+
     @functools.cached_property
     def lower(self) -> FloatArray:
         """Return the lowest [v, w], shape (2,)."""
-        return np.array([self.min_linear_vel, -self.max_angular_vel])
+        return np.array([max(self.min_linear_vel, -self.speed_limit), -self.max_angular_vel])
 
     @functools.cached_property
     def upper(self) -> FloatArray:
         """Return the highest [v, w], shape (2,)."""
-        return np.array([self.max_linear_vel, self.max_angular_vel])
+        return np.array([min(self.max_linear_vel, self.speed_limit), self.max_angular_vel])
 
     @functools.cached_property
     def unlimited(self) -> bool:
         """Return whether no command is ever clipped."""
-        return all(
-            map(math.isinf, (self.min_linear_vel, self.max_linear_vel, self.max_angular_vel))
-        )
+        return not (np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+
+
+_NO_LIMIT = ".inf is no limit."
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Motion."""
+
+    max_linear_accel: float = setting(
+        math.inf, f"Highest linear acceleration. {_NO_LIMIT}", unit="m/s²", low=POSITIVE, symbol="a"
+    )
+    max_linear_decel: float = setting(
+        math.inf,
+        "Highest linear deceleration; where it is finite, the robot brakes to the end of an open "
+        f"path. {_NO_LIMIT}",
+        unit="m/s²",
+        low=POSITIVE,
+        symbol="d",
+    )
+    max_angular_accel: float = setting(
+        math.inf,
+        f"Highest angular acceleration, in either direction. {_NO_LIMIT}",
+        unit="rad/s²",
+        low=POSITIVE,
+        symbol="α_max",
+    )
+    max_linear_jerk: float = setting(
+        math.inf,
+        f"Highest rate of change of the linear acceleration. {_NO_LIMIT}",
+        unit="m/s³",
+        low=POSITIVE,
+    )
+    max_angular_jerk: float = setting(
+        math.inf,
+        f"Highest rate of change of the angular acceleration. {_NO_LIMIT}",
+        unit="rad/s³",
+        low=POSITIVE,
+    )
+    max_lateral_accel: float = setting(
+        math.inf,
+        f"Highest lateral acceleration v² κ of the speed along the path. {_NO_LIMIT}",
+        unit="m/s²",
+        low=POSITIVE,
+        symbol="a_lat",
+    )
+    xy_goal_tolerance: float = setting(
+        0.05,
+        "Distance from the end of an open path within which the goal is reached, if the robot "
+        "brakes to it (max_linear_decel).",
+        unit="m",
+        low=POSITIVE,
+    )
+    yaw_goal_tolerance: float = setting(0.1, "The same for the heading.", unit="rad", low=POSITIVE)
+    actuation_delay: float = setting(
+        0.0,
+        "Known time from a command to its effect, over which the pose is predicted.",
+        unit="s",
+        low=0.0,
+        high=1.0,
+    )
+
+    @functools.cached_property
+    def limited(self) -> bool:
+        """Return whether a command may depend on the one before."""
+        accelerations = self.max_linear_accel, self.max_linear_decel, self.max_angular_accel
+        return self.jerk_limited or any(map(math.isfinite, accelerations))
+
+    @functools.cached_property
+    def jerk_limited(self) -> bool:
+        """Return whether a jerk is limited."""
+        return math.isfinite(self.max_linear_jerk) or math.isfinite(self.max_angular_jerk)
 
 
 @dataclass(frozen=True)
@@ -212,6 +289,7 @@ class Settings:
     target: TargetSettings
     cost: CostSettings
     limits: LimitSettings
+    motion: MotionSettings
     learning: LearningSettings
     policy: PolicySettings
     controller: ControllerSettings

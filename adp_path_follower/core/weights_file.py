@@ -33,7 +33,7 @@ _VERSION = 1
 _MOST_BYTES = 2**28
 _GROUPS = ("target", "cost", "limits")  # of settings that state the problem
 _BASIS = ("basis", "basis_degree", "frame", "scheduling")
-_ARRAYS = {"knots": "<i8", "curvature": "<f8", "critic": "<f8", "actor": "<f8"}
+_ARRAYS = {"knots": "<i8", "curvature": "<f8", "speed": "<f8", "critic": "<f8", "actor": "<f8"}
 _AGAIN = "save it again with ~/save_weights, or leave 'weights_file' empty"
 
 
@@ -224,7 +224,7 @@ def _checked(
     if not isinstance(closed, bool) or type(reach) is not int or not 0 <= reach <= 10**6:
         raise _DamageError("as it does not say what its path is")
     count = arrays["knots"].shape[0] if arrays["knots"].ndim == 1 else -1
-    shapes = {"knots": (count,), "curvature": (count,), "critic": (count, size)}
+    shapes = {"knots": (count,), "curvature": (count,), "speed": (count,)}
     for name, kind in _ARRAYS.items():
         array, shape = arrays[name], shapes.get(name, (count, size))
         if array.shape != shape or array.dtype != np.dtype(kind):

@@ -63,10 +63,10 @@ class CountingModel:
         """Return the number of samples."""
         return len(self._model)
 
-    def equations(self, samples, ahead, curvature):
+    def equations(self, samples, ahead, curvature, v_des=None):
         """Return what the model gives."""
         self.parts.append((samples.start, samples.stop))
-        return self._model.equations(samples, ahead, curvature)
+        return self._model.equations(samples, ahead, curvature, v_des)
 
 
 # --- the work of a step -------------------------------------------------------------------------
