@@ -14,6 +14,8 @@ from adp_path_follower.core.path import Path, PathFrame
 from adp_path_follower.core.settings import CostSettings, Settings, TargetSettings
 from adp_path_follower.core.speed_profile import SpeedReference
 
+_MOST_LEAD = 20.0  # [m] of the robot ahead of the target, or behind it, that sets its speed
+
 
 @dataclass(frozen=True)
 class ControlOutput:
@@ -50,6 +52,8 @@ class Controller(Protocol):
 class VirtualTarget:
     """The target that moves along the path by s_p' = v_des cos(theta) + k1 s.
 
+    Its speed stays below v_des + k1 20 m: one pose that cannot be must not send it away for good.
+
     Attributes:
         arc_length: s_p [m], shape (...).
         v_des: v_des there [m/s], shape (...); None if it is `desired_speed` everywhere.
@@ -67,6 +71,7 @@ class VirtualTarget:
         self.arc_length = np.asarray(arc_length, dtype=float)
         self.v_des: FloatArray | None = None
         self._path, self._target, self._reference = path, target, reference
+        self._most_speed = target.desired_speed + target.target_gain * _MOST_LEAD
         self._previous_error: FloatArray | None = None
 
     def hold(self) -> None:
@@ -89,22 +94,25 @@ class VirtualTarget:
         if self.arc_length.shape != pose.shape[:-1]:  # one start for a batch
             self.arc_length = np.broadcast_to(self.arc_length, pose.shape[:-1])
         if self._previous_error is not None and dt > 0.0:
-            v_des = self._speed(self.arc_length)
-            speed_before = error_dynamics.target_speed(self._previous_error, self._target, v_des)
+            speed_before = self._speed(self.arc_length, self._previous_error)
             guess = self.arc_length + dt * speed_before
             error = error_dynamics.tracking_error(pose, self._path.frame(guess).pose)
-            v_des = self._speed(guess)
-            speed_after = error_dynamics.target_speed(error, self._target, v_des)
+            speed_after = self._speed(guess, error)
             self.arc_length = self.arc_length + 0.5 * dt * (speed_before + speed_after)
             if self._reference is not None and self._reference.profile.stops:
                 self.arc_length = np.minimum(self.arc_length, self._path.length)
-        self.v_des = self._speed(self.arc_length)
+        self.v_des = self._desired_speed(self.arc_length)
         frame = self._path.frame(self.arc_length)
         self._previous_error = error_dynamics.tracking_error(pose, frame.pose)
         return frame, self._previous_error
 
-    def _speed(self, arc_length: FloatArray) -> FloatArray | None:
+    def _desired_speed(self, arc_length: FloatArray) -> FloatArray | None:
         return None if self._reference is None else self._reference.speed(arc_length)
+
+    def _speed(self, arc_length: FloatArray, error: FloatArray) -> FloatArray:
+        v_des = self._desired_speed(arc_length)
+        speed = error_dynamics.target_speed(error, self._target, v_des)
+        return np.minimum(np.maximum(speed, -self._most_speed), self._most_speed)
 
 
 class RunningCost:

@@ -8,6 +8,8 @@ from adp_path_follower.core.geometry import FloatArray, wrap_angle
 from adp_path_follower.core.settings import ControllerSettings
 
 _NANOSECONDS = 1_000_000_000
+_FARTHEST = 1e8  # [m] from the origin, as for paths
+_FASTEST = 1e4  # [m/s], [rad/s]
 _HEADING_TOLERANCE = 1.0  # [rad] beyond what the angular velocity explains
 
 
@@ -44,6 +46,12 @@ class OdometryCheck:
             controller: Says what is too old, and what is a jump.
 
         """
+        if not np.abs(pose[:2]).max() <= _FARTHEST or not np.abs(twist).max() <= _FASTEST:
+            x, y, _ = pose
+            return (
+                f"odometry is no robot's: x {x:.3g} m, y {y:.3g} m, v {twist[0]:.3g} m/s, w "
+                f"{twist[1]:.3g} rad/s: check its units"
+            )
         age = (now - stamp) / _NANOSECONDS
         if self._stamp is None:
             self._child_frame = child_frame

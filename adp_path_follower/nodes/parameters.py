@@ -71,7 +71,7 @@ class LiveSettings(Generic[Tree]):
                 is no way.
 
         """
-        self._settings, self._prepare = settings, prepare
+        self._node, self._settings, self._prepare = node, settings, prepare
         self._fields = {field.name: field for field in setting_fields(type(settings))}
         self._prepared: tuple[Tree, Callable[[], None]] | None = None
         node.add_pre_set_parameters_callback(self._typed)
@@ -104,8 +104,15 @@ class LiveSettings(Generic[Tree]):
             if settings != self._settings:
                 self._prepared = settings, self._prepare(settings)
         except AdpError as error:
+            self._describe_present(parameters)
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _describe_present(self, parameters: list[Parameter]) -> None:
+        """Let descriptions keep the types of the values that stay; rclpy has changed them."""
+        for name in {parameter.name for parameter in parameters}:
+            present = self._node.get_parameter(name)
+            self._node.describe_parameter(name).type = present.type_.value
 
     def _take_over(self, parameters: list[Parameter]) -> None:
         if self._prepared is not None:

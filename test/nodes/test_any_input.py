@@ -1,0 +1,323 @@
+"""Any odometry, path and parameters that can be built, through the callbacks of the real node.
+
+No exception, and every command that is published is finite and within the limits.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import rclpy
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+
+from adp_path_follower.core.path_library import named_path
+from adp_path_follower.core.schema import flatten, setting_fields
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.supervisor import State
+from adp_path_follower.nodes.controller import PathFollowerNode
+from adp_path_follower.nodes.conversions import odometry_message, path_message
+from adp_path_follower.nodes.processes import own_domain
+
+PERIOD = 20_000_000  # [ns]
+FRAMES = ("odom", "base_link")
+# A small learner, as it is not what is tried here; and no clock, so that any stamp may come.
+GIVEN = {
+    "basis_degree": 4,
+    "sample_count": 64,
+    "samples_per_step": 64,
+    "control_trigger": "odometry",
+    "use_sim_time": True,
+}
+LINE = path_message(named_path("line"), "odom", 0, 0.1)
+
+
+class Spied(PathFollowerNode):
+    """The controller node, whose callbacks the test calls and whose commands are looked at."""
+
+    def begin(self, **parameters):
+        """Forget what was, and begin a run with these parameters."""
+        values = {**flatten(self._settings), **parameters}
+        self._forget_run()
+        self._supervisor.active = True
+        self.commands = []
+        self._commands.send = self.sent
+        results = self.change({name: values[name] for name in parameters})
+        assert all(result.successful for result in results), results
+
+    def change(self, values):
+        """Set some parameters at once, as the service does; return the results."""
+        parameters = [
+            Parameter(name, value=list(value) if isinstance(value, tuple) else value)
+            for name, value in values.items()
+        ]
+        return [self.set_parameters_atomically(parameters)] if parameters else []
+
+    def sent(self, command, time):
+        """Look at a command that is to be published."""
+        limits = self._settings.limits
+        assert np.isfinite(command).all(), command
+        if command.any():  # zero velocity is to stop
+            assert (command >= limits.lower - 1e-9).all(), command
+            assert (command <= limits.upper + 1e-9).all(), command
+        self.commands.append(command)
+
+    def take(self, message):
+        """Take an odometry message or a path."""
+        if isinstance(message, Odometry):
+            self._receive_odometry(message)
+        else:
+            self._receive_path(message)
+        self._watch()
+
+    @property
+    def state(self):
+        """Return the supervisor's state."""
+        return self._update_status().state
+
+
+@pytest.fixture(scope="module")
+def node():
+    arguments = ["test", "--ros-args", "--log-level", "fatal"]
+    for name, value in GIVEN.items():
+        arguments += ["-p", f"{name}:={str(value).lower()}"]
+    with own_domain() as domain:
+        rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        found = Spied()
+        yield found
+        found.destroy_node()
+        rclpy.try_shutdown()
+
+
+def good_odometry(step, pose=(0.0, 0.1, 0.0)):
+    return odometry_message(step * PERIOD, np.array(pose), np.array([0.5, 0.0]), FRAMES)
+
+
+def is_good_again(node, first_step, pose=(0.0, 0.1, 0.0)):
+    """Return whether the node follows when sound odometry comes for a while."""
+    for step in range(first_step, first_step + 5):
+        node.take(good_odometry(step, pose))
+    return node.state is State.FOLLOWING
+
+
+floats = st.one_of(
+    st.floats(),
+    st.floats(-3.0, 3.0),
+    st.sampled_from([0.0, 1e6, -1e6, 1e8, 1e9, 1e160, 1e308, 5e-324, math.nan, math.inf]),
+)
+stamps = st.one_of(
+    st.builds(Time, sec=st.integers(-(2**31), 2**31 - 1), nanosec=st.integers(0, 2**32 - 1)),
+    st.integers(0, 50).map(lambda step: Time(sec=0, nanosec=step * PERIOD)),
+)
+names = st.one_of(st.sampled_from(["odom", "base_link", "map", ""]), st.text(max_size=5))
+positions = st.builds(Point, x=floats, y=floats, z=floats)
+rotations = st.one_of(
+    st.builds(Quaternion, x=floats, y=floats, z=floats, w=floats), st.just(Quaternion(w=1.0))
+)
+poses = st.builds(Pose, position=positions, orientation=rotations)
+
+
+@st.composite
+def odometry(draw):
+    message = Odometry(child_frame_id=draw(names))
+    message.header.stamp, message.header.frame_id = draw(stamps), draw(names)
+    message.pose.pose = draw(poses)
+    twist = message.twist.twist
+    twist.linear.x, twist.linear.y, twist.angular.z = draw(floats), draw(floats), draw(floats)
+    return message
+
+
+@st.composite
+def paths(draw):
+    message = PathMessage()
+    message.header.stamp, message.header.frame_id = draw(stamps), draw(names)
+    found = draw(st.lists(poses, max_size=8))
+    message.poses = [PoseStamped(pose=pose) for pose in found]
+    return message
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    messages=st.lists(st.one_of(odometry(), odometry(), paths()), max_size=6),
+    tolerance=st.sampled_from([0.5, math.inf]),
+    first=st.booleans(),
+)
+def test_any_messages(node, messages, tolerance, first):
+    node.begin(odom_jump_tolerance=tolerance)
+    node.take(LINE)
+    if not first:
+        for step in range(3):
+            node.take(good_odometry(step))
+    for message in messages:
+        node.take(message)
+
+
+far = st.sampled_from([sign * 10.0**power for sign in (1, -1) for power in range(9)])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    place=st.tuples(far, far | st.just(0.0), st.floats(-4.0, 4.0)),
+    tolerance=st.sampled_from([0.5, math.inf]),
+    before=st.integers(1, 3),
+)
+@example(place=(-1e6, 0.0, 0.0), tolerance=math.inf, before=3)
+@example(place=(1e8, 0.0, 0.0), tolerance=math.inf, before=3)
+def test_one_message_from_another_place_does_not_send_the_target_away(
+    node, place, tolerance, before
+):
+    node.begin(odom_jump_tolerance=tolerance)
+    node.take(LINE)
+    for step in range(before):
+        node.take(good_odometry(step))
+    node.take(good_odometry(before, place))
+    assert is_good_again(node, before + 1)
+    assert -0.5 < float(node._driver.follower.arc_length) < 0.5
+    assert node.commands[-1].any()
+
+
+@pytest.mark.parametrize("tolerance", [0.5, math.inf])
+@pytest.mark.parametrize("distance", [1e3, 1e6, 1e8])
+def test_a_first_pose_that_is_absurd(node, tolerance, distance):
+    """The target begins at the place nearest to it, and stays about there."""
+    node.begin(odom_jump_tolerance=tolerance)
+    node.take(LINE)
+    node.take(good_odometry(0, (-distance, 0.0, 0.0)))
+    for step in range(1, 5):
+        node.take(good_odometry(step))
+    assert node.state is State.FOLLOWING
+    assert -0.5 < float(node._driver.follower.arc_length) < 0.5
+
+
+def test_what_is_too_far_or_too_fast_is_told(node):
+    for broken in ({"pose": (1e9, 0.0, 0.0)}, {"pose": (0.0, -1e300, 0.0)}):
+        node.begin()
+        node.take(LINE)
+        node.take(good_odometry(0, **broken))
+        assert "check its units" in node._update_status().cause
+        assert not any(command.any() for command in node.commands)
+        assert is_good_again(node, 1)
+
+
+# --- parameters ---------------------------------------------------------------------------------
+
+FIELDS = setting_fields(Settings)
+DYNAMIC = [field for field in FIELDS if not field.spec.read_only]
+
+
+START = {field.name: GIVEN.get(field.name, field.default) for field in DYNAMIC}
+
+
+def within(field):
+    """Return values of a setting's type in its range, with its ends and far beyond in between."""
+    spec = field.spec
+    kind = field.item_kind or field.kind
+    if spec.choices:
+        items = st.sampled_from(spec.choices)
+    elif kind is bool:
+        items = st.booleans()
+    elif kind is int:
+        items = st.integers(int(spec.low), min(int(spec.high), 200))
+    elif kind is float:
+        ends = [value for value in (spec.low, spec.high) if not math.isnan(value)]
+        usual = st.floats(max(spec.low, -2.0), min(spec.high, 2.0))
+        items = st.one_of(usual, st.sampled_from(ends), st.floats(spec.low, spec.high))
+    else:
+        items = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
+    if field.item_kind is None:
+        return items
+    lengths = spec.lengths or (6,)
+    return st.sampled_from(lengths).flatmap(lambda n: st.lists(items, min_size=n, max_size=n))
+
+
+changes = st.lists(
+    st.sampled_from(DYNAMIC), max_size=4, unique_by=lambda field: field.name
+).flatmap(lambda fields: st.fixed_dictionaries({field.name: within(field) for field in fields}))
+
+junk = st.one_of(
+    st.booleans(),
+    st.integers(-(2**63), 2**63 - 1),
+    st.floats(),
+    st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=5),
+    st.lists(st.floats(), max_size=9),
+    st.lists(st.integers(-9, 9), max_size=9),
+    st.lists(st.booleans(), max_size=3),
+)
+
+
+def present(node):
+    """Return the node's parameters as ROS has them."""
+    return {field.name: node.get_parameter(field.name).value for field in FIELDS}
+
+
+def as_ros_has(settings_now):
+    return {
+        name: list(v) if isinstance(v, tuple) else v for name, v in flatten(settings_now).items()
+    }
+
+
+def lists(values):
+    return {name: v.tolist() if hasattr(v, "tolist") else v for name, v in values.items()}
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    sets=st.lists(changes, max_size=3),
+    bad=st.dictionaries(
+        st.sampled_from([field.name for field in FIELDS]), junk, min_size=1, max_size=3
+    ),
+)
+def test_any_parameters_while_driving(node, sets, bad):
+    """A set is taken as a whole or refused as a whole; ROS and the controller agree on it."""
+    node.begin(**START)
+    node.take(LINE)
+    step = itertools.count()
+    node.take(good_odometry(next(step)))
+    for values in (*sets, bad):
+        before = node._settings
+        (result,) = node.change(values) or [None]
+        if result is not None and not result.successful:
+            assert result.reason
+            assert "\n" not in result.reason
+            assert node._settings == before
+        assert lists(present(node)) == as_ros_has(node._settings)
+        for _ in range(2):
+            node.take(good_odometry(next(step)))
+
+
+def test_a_change_that_another_callback_refuses_changes_nothing(node):
+    node.begin(**START)
+    node.take(LINE)
+    node.take(good_odometry(0))
+    before = node._settings
+    (result,) = node.change({"desired_speed": 0.3, "use_sim_time": "yes"})
+    assert not result.successful
+    assert node._settings == before
+    assert node.get_parameter("desired_speed").value == before.target.desired_speed
+
+
+def test_what_only_fits_together_is_set_together(node):
+    """One by one, a state in between may be refused: the service for sets is for that."""
+    node.begin(**START)
+    assert not node.change({"knot_spacing": 3.0})[0].successful
+    assert node.change({"knot_spacing": 3.0, "preview_distance": 8.0})[0].successful
+    assert node.change({"knot_spacing": 0.2, "preview_distance": 2.0})[0].successful
+
+
+def test_integers_for_numbers_are_numbers(node):
+    node.begin(**START)
+    assert node.change({"max_linear_vel": 2, "state_cost": [1, 2, 3]})[0].successful
+    assert node.get_parameter("max_linear_vel").type_ is Parameter.Type.DOUBLE
+    assert node.get_parameter("state_cost").type_ is Parameter.Type.DOUBLE_ARRAY
+    assert not node.change({"desired_speed": "fast"})[0].successful
+    described = node.describe_parameter("desired_speed")
+    assert described.type == Parameter.Type.DOUBLE.value
