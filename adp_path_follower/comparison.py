@@ -159,7 +159,9 @@ def _paper_laws(settings: Settings) -> Settings:
     task = flatten(settings)
     groups = {field.name: field.group for field in setting_fields(Settings)}
     kept = {
-        name: value for name, value in task.items() if groups[name] in ("target", "cost", "limits")
+        name: value
+        for name, value in task.items()
+        if groups[name] in ("target", "cost", "limits", "motion")
     }
     return build(Settings, {**printed, **kept})
 

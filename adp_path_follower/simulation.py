@@ -19,6 +19,7 @@ from adp_path_follower.core.learner import Weights
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SpeedProfile
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
@@ -190,6 +191,7 @@ class _ClosedLoop:
         self._starts = starts
         self._settings, self._path = settings, path
         self._controller = controller(settings, path, arc_length)
+        self._profile = getattr(self._controller, "profile", None)
         self._robot, self._faults = robot, faults
         self._undisturbed = SimulatorSettings(plant=robot.plant)
         if learning == "warm" and isinstance(self._controller, PathFollower):
@@ -268,7 +270,8 @@ class _ClosedLoop:
             start = self._robot.pose
             self._robot.step(command, step)
             spent, arc_length = motion_cost(
-                self._settings, self._path, start, self._robot.twist, arc_length, step
+                *(self._settings, self._path, start, self._robot.twist, arc_length, step),
+                self._profile,
             )
             cost += spent
         return cost
@@ -281,6 +284,7 @@ def motion_cost(
     twist: FloatArray,
     arc_length: FloatArray,
     duration: float,
+    profile: SpeedProfile | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the cost of moving at constant twist, and where the virtual target is afterwards.
 
@@ -294,6 +298,7 @@ def motion_cost(
         twist: [v, w] that is held, shape (..., 2).
         arc_length: s_p at the start [m], shape (...).
         duration: Time [s]; at most 10 ms for an error below 1e-6 of the cost.
+        profile: The speed along the path, by default `desired_speed` everywhere.
 
     """
     target, running_cost = settings.target, RunningCost(settings.cost)
@@ -302,9 +307,10 @@ def motion_cost(
         here = advance_pose(pose, twist[..., 0], twist[..., 1], time)
         frame = path.frame(place)
         error = error_dynamics.tracking_error(here, frame.pose)
-        modified_input = twist - error_dynamics.feedforward(frame.curvature, target)
+        v_des = profile.speed(place) if profile is not None and profile.varies else None
+        modified_input = twist - error_dynamics.feedforward(frame.curvature, target, v_des)
         cost_rate = running_cost(error, modified_input)
-        return cost_rate, error_dynamics.target_speed(error, target)
+        return cost_rate, error_dynamics.target_speed(error, target, v_des)
 
     first, speed = rates(0.0, arc_length)
     middle, speed = rates(0.5 * duration, arc_length + 0.5 * duration * speed)

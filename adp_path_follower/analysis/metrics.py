@@ -18,6 +18,7 @@ from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SpeedProfile
 from adp_path_follower.simulation import PAPER_START, motion_cost
 
 COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
@@ -155,7 +156,7 @@ def cost_over_horizon(
     """
     if not len(time) or time[-1] < COST_HORIZON - 1e-6:
         return math.nan
-    total = 0.0
+    total, profile = 0.0, SpeedProfile(path, settings)
     for step in np.flatnonzero(time[:-1] < COST_HORIZON - 1e-6):
         spent, _ = motion_cost(
             settings,
@@ -164,6 +165,7 @@ def cost_over_horizon(
             commands[step],
             arc_lengths[step],
             float(time[step + 1] - time[step]),
+            profile,
         )
         total += float(spent)
     return total

@@ -27,6 +27,7 @@ class Configuration:
         after_step: Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
         learning_resets: How often learning has been reset since the node's start.
         restarts: How often following has begun anew from where the robot was then.
+        stops: How often the robot has been told to stop after a command.
         saved_weights: Digest of the weights file that it started from, empty without one.
 
     """
@@ -36,6 +37,7 @@ class Configuration:
     after_step: int = NO_STEP
     learning_resets: int = 0
     restarts: int = 0
+    stops: int = 0
     saved_weights: str = ""
 
     @property
@@ -55,6 +57,7 @@ def configuration_text(
     after_step: int = NO_STEP,
     learning_resets: int = 0,
     restarts: int = 0,
+    stops: int = 0,
     saved_weights: str = "",
 ) -> str:
     """Return the text that says what a controller runs with, as YAML."""
@@ -62,10 +65,9 @@ def configuration_text(
     if path is not None:
         lines.append(f"path: {{digest: '{path.digest()}', length: {path.length!r}}}")
     lines += [f"after_step: {after_step}", f"learning_resets: {learning_resets}"]
-    lines += [
-        f"restarts: {restarts}",
-        *([f"saved_weights: '{saved_weights}'"] * bool(saved_weights)),
-    ]
+    lines += [f"restarts: {restarts}", f"stops: {stops}"]
+    if saved_weights:
+        lines.append(f"saved_weights: '{saved_weights}'")
     lines.append("settings:")
     lines += [f"  {name}: {yaml_text(value)}" for name, value in flatten(settings).items()]
     return "\n".join(lines) + "\n"
@@ -101,5 +103,6 @@ def parse_configuration(text: str) -> Configuration:
         after_step=whole("after_step", NO_STEP),
         learning_resets=whole("learning_resets", 0),
         restarts=whole("restarts", 0),
+        stops=whole("stops", 0),
         saved_weights=str(content.get("saved_weights", "")),
     )

@@ -200,6 +200,7 @@ class RecordedDriver:
         else:
             self._driver.learning_resets = self._next.learning_resets
             self._driver.restarts = self._next.restarts
+            self._driver.stops = self._next.stops
 
     @property
     def _upcoming(self) -> Configuration:
@@ -251,6 +252,9 @@ class RecordedDriver:
         if change.learning_resets != driver.learning_resets:
             driver.reset_learning()
             driver.learning_resets = change.learning_resets
+        if change.stops != driver.stops:
+            driver.stopped()
+            driver.stops = change.stops
         if change.restarts != driver.restarts:
             driver.restart()
             driver.restarts = change.restarts

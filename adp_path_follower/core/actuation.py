@@ -61,6 +61,8 @@ class Actuation:
         starts = np.maximum([sent for sent, _ in self._sent], begin)
         durations = np.diff(starts, append=self._clock)
         due = [index for index, held in enumerate(durations.tolist()) if held > 0.0]
+        if not due:
+            return pose
         commands = [np.broadcast_to(self._sent[index][1], (*pose.shape[:-1], 2)) for index in due]
         return _driven(pose, np.array(commands), durations[due])
 

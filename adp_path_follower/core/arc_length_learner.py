@@ -219,7 +219,7 @@ class ArcLengthLearner:
         old, new = previous._settings, self._settings
         if (old.target, old.cost, old.limits) != (new.target, new.cost, new.limits):
             return
-        if previous._profile != self._profile:
+        if not previous._profile.same_as(self._profile):
             return
         if any(
             getattr(old.learning, name) != getattr(new.learning, name) for name in MODEL_SETTINGS

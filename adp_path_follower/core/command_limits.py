@@ -31,14 +31,12 @@ def limited_command(
 
     """
     lower, upper = _within_reach(previous, motion, dt)
-    command = np.minimum(np.maximum(wanted, lower), upper)
-    if not motion.jerk_limited:
-        return command
-    jerk = np.array([motion.max_linear_jerk, motion.max_angular_jerk])
-    command = _smoothed(command, previous, rate, jerk, dt)
-    lower = np.maximum(lower, np.minimum(limits.lower, previous))
-    upper = np.minimum(upper, np.maximum(limits.upper, previous))
-    return np.asarray(np.minimum(np.maximum(command, lower), upper))
+    if motion.jerk_limited:
+        jerk = np.array([motion.max_linear_jerk, motion.max_angular_jerk])
+        wanted = _smoothed(wanted, previous, rate, jerk, dt)
+        lower = np.maximum(lower, np.minimum(limits.lower, previous))
+        upper = np.minimum(upper, np.maximum(limits.upper, previous))
+    return np.asarray(np.minimum(np.maximum(wanted, lower), upper))
 
 
 def _within_reach(
@@ -58,18 +56,19 @@ def _within_reach(
 
 
 def _smoothed(
-    command: FloatArray, previous: FloatArray, rate: FloatArray, jerk: FloatArray, dt: float
+    wanted: FloatArray, previous: FloatArray, rate: FloatArray, jerk: FloatArray, dt: float
 ) -> FloatArray:
     """Return the command after limits of jerk (2,), shape (..., 2).
 
-    The rate of change r stays below what jerk j can take back to zero before the command is
-    reached: r, r - j dt, r - 2 j dt, ... sum up to r² / 2j + r dt / 2.
+    The rate of change r stays below what jerk j can take back to zero before the wanted command is
+    reached: r, r - j dt, r - 2 j dt, ... sum up to r² / 2j + r dt / 2, and at most j dt² / 8 more
+    because the last of them is not zero.
     """
-    change = command - previous
+    change = wanted - previous
     limited = np.isfinite(jerk)
     jerk = np.where(limited, jerk, 1.0)
     half = 0.5 * jerk * dt
     highest = np.sqrt(half * half + 2.0 * jerk * np.abs(change)) - half
-    wanted = np.minimum(np.maximum(change / dt, -highest), highest)
-    reached = np.minimum(np.maximum(wanted, rate - jerk * dt), rate + jerk * dt)
-    return np.asarray(np.where(limited, previous + reached * dt, command))
+    reached = np.minimum(np.maximum(change / dt, -highest), highest)
+    reached = np.minimum(np.maximum(reached, rate - jerk * dt), rate + jerk * dt)
+    return np.asarray(np.where(limited, previous + reached * dt, wanted))

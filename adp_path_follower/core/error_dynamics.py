@@ -68,13 +68,12 @@ def drift(
     """
     s, y, theta, phi = unpacked(zeta)
     speed = target_speed(zeta, target, v_des)
-    if v_des is None:
-        v_des = np.float64(target.desired_speed)
+    along = target.desired_speed if v_des is None else v_des
     # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
     return components(
-        speed * (curvature * y - 1.0) + v_des * np.cos(theta),
-        v_des * np.sin(theta) - curvature * s * speed,
-        curvature * (v_des - speed),
+        speed * (curvature * y - 1.0) + along * np.cos(theta),
+        along * np.sin(theta) - curvature * s * speed,
+        curvature * (along - speed),
         target.path_state_gain * (1.0 - phi * phi) * speed,
     )
 

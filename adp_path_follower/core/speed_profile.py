@@ -1,13 +1,14 @@
 """The speed along a path, v_des(s_p): as fast as curvature, limits and what lies ahead allow.
 
-Pointwise, with a share eta of what the robot can do left to the corrections,
+Pointwise, with a share eta of what the robot can do, which leaves the rest to corrections,
 
     v_des <= min(desired_speed, max_linear_vel, speed_limit, sqrt(a_lat / |kappa|),
-                 eta w_max / |kappa|, sqrt(eta alpha_max / |kappa'|)),
+                 eta w_max / |kappa|, sqrt(eta alpha_max / (2 |kappa'|))),
 
-and along the path |d(v_des^2) / ds| <= 2 eta a: a forward pass with the acceleration, a backward
-pass with the deceleration, from zero at the end of an open path. v_des^2 is linear between the
-nodes, as it is under a constant acceleration.
+and along the path |d(v_des^2) / ds| <= 2 min(eta a, eta alpha_max / (2 |kappa|)): a forward pass
+with the acceleration, a backward pass with the deceleration, from zero at the end of an open path.
+So both parts of w_ss' = kappa' v_des^2 + kappa v_des' have half of the angular acceleration.
+v_des^2 is linear between the nodes, as it is under a constant acceleration.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _SLOWEST = 0.05  # [m/s], and ...
 _SLOWEST_SHARE = 0.25  # ... of the highest speed: below, models take this for the speed
 _NODE_SPACING = 0.02  # [m]
 _MOST_NODES = 100_000
-_TURNING = 0.1  # [m] over which the change of curvature is taken
+_TURNING = 0.05  # [m] over which the change of curvature is taken
 
 
 class SpeedProfile:
@@ -50,26 +51,27 @@ class SpeedProfile:
         self._length, self._closed = path.length, path.closed
         pieces = min(max(2, math.ceil(path.length / _NODE_SPACING)), _MOST_NODES)
         self._step = path.length / pieces
-        squared = self._pointwise(path.curvature(np.arange(pieces + 1) * self._step), settings)
+        curvature = path.curvature(np.arange(pieces + 1) * self._step)
+        squared = self._pointwise(curvature, settings)
         if self.stops:
             squared[-1] = 0.0
-        forward = 2.0 * SHARE * motion.max_linear_accel * self._step
-        backward = 2.0 * SHARE * motion.max_linear_decel * self._step
+        bend = np.abs(curvature)
+        bend = np.maximum(np.maximum(bend[:-1], bend[1:]), 1e-12)  # between two nodes
         if self._closed:  # the second of three laps knows what was before it and what comes
             squared = np.concatenate([squared[:-1], squared[:-1], squared])
-        squared = _at_most_rising_by(squared, forward)
-        squared = _at_most_rising_by(squared[::-1], backward)[::-1]
+            bend = np.tile(bend, 3)
+        turning = 0.5 * SHARE * motion.max_angular_accel / bend
+        rise = 2.0 * self._step * np.minimum(SHARE * motion.max_linear_accel, turning)
+        fall = 2.0 * self._step * np.minimum(SHARE * motion.max_linear_decel, turning)
+        squared = _at_most_rising_by(squared, rise)
+        squared = _at_most_rising_by(squared[::-1], fall[::-1])[::-1]
         self._squared = squared[pieces : 2 * pieces + 1] if self._closed else squared
         self.varies = bool((self._squared != self._desired**2).any())
 
-    def __eq__(self, other: object) -> bool:
+    def same_as(self, other: SpeedProfile) -> bool:
         """Return whether the speeds are the same everywhere."""
-        return isinstance(other, SpeedProfile) and (
-            (self._step, self._desired) == (other._step, other._desired)
-            and np.array_equal(self._squared, other._squared)
-        )
-
-    __hash__ = None  # type: ignore[assignment]  # arrays have none
+        mine, theirs = (self._step, self._desired), (other._step, other._desired)
+        return mine == theirs and np.array_equal(self._squared, other._squared)
 
     def speed(self, arc_length: FloatArray) -> FloatArray:
         """Return v_des [m/s] at arc lengths s_p [m] of any shape, same shape.
@@ -86,26 +88,29 @@ class SpeedProfile:
 
     def model_speed(self, arc_length: FloatArray) -> FloatArray:
         """Return v_des, but nowhere less than `slowest`."""
-        return np.maximum(self.speed(arc_length), self.slowest)
+        speed: FloatArray = np.maximum(self.speed(arc_length), self.slowest)
+        return speed
 
     def _pointwise(self, curvature: FloatArray, settings: Settings) -> FloatArray:
         """Return the highest v_des^2 at each node (N,), whatever is before and after it."""
         limits, motion = settings.limits, settings.motion
         bend = np.maximum(np.abs(curvature), 1e-12)
+        bend[1:-1] = np.maximum(bend[1:-1], np.maximum(bend[:-2], bend[2:]))  # of the surroundings
         squared = np.full(len(bend), self.highest**2)
         squared = np.minimum(squared, motion.max_lateral_accel / bend)
         squared = np.minimum(squared, (SHARE * limits.max_angular_vel / bend) ** 2)
         if math.isfinite(motion.max_angular_accel):
             reach = max(1, round(0.5 * _TURNING / self._step))
-            mode = "wrap" if self._closed else "edge"
-            # The last node of a closed path is its first: it is not repeated across the seam.
-            inner = curvature[:-1] if self._closed else curvature
-            padded = np.pad(inner, reach, mode=mode)  # type: ignore[call-overload]
-            change = np.abs(padded[2 * reach :] - padded[: -2 * reach])
+            nodes = np.arange(len(curvature))
+            before, after = nodes - reach, nodes + reach
+            if self._closed:  # whose last node is its first
+                before, after = before % (len(nodes) - 1), after % (len(nodes) - 1)
+            else:
+                before, after = np.maximum(before, 0), np.minimum(after, len(nodes) - 1)
+            change = np.abs(curvature[after] - curvature[before])
             slope = np.maximum(change / (2.0 * reach * self._step), 1e-12)
-            slope = np.append(slope, slope[0]) if self._closed else slope
-            squared = np.minimum(squared, SHARE * motion.max_angular_accel / slope)
-        return squared
+            squared = np.minimum(squared, 0.5 * SHARE * motion.max_angular_accel / slope)
+        return np.asarray(squared)
 
 
 class SpeedReference:
@@ -145,10 +150,16 @@ class SpeedReference:
         return np.asarray(wanted)[()]
 
 
-def _at_most_rising_by(values: FloatArray, step: float) -> FloatArray:
-    """Return the greatest values, none above those given, that rise by at most `step`, (N,)."""
-    if not math.isfinite(step):
+def _at_most_rising_by(values: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the greatest values (N,), none above those given, that rise by at most `steps`.
+
+    Args:
+        values: Shape (N,).
+        steps: From one value to the next, shape (N - 1,).
+
+    """
+    if not np.isfinite(steps).all():  # all are, or none
         return values
-    slope = step * np.arange(len(values))
+    slope = np.append(0.0, np.cumsum(steps))
     reached = np.minimum.accumulate(values - slope) + slope
     return np.where(reached < (1.0 - 1e-12) * values, reached, values)  # but for rounding

@@ -64,6 +64,7 @@ class Supervisor:
         self._clock_missing = False
         self._has_path = False
         self._goal_reached = False
+        self._goal_problem = ""
         self._stopped = False
 
     def odometry_received(self, now: float, problem: str = "") -> None:
@@ -83,7 +84,7 @@ class Supervisor:
     def path_received(self) -> None:
         """Note a new path."""
         self._has_path = True
-        self._goal_reached = False
+        self._goal_reached, self._goal_problem = False, ""
 
     def path_removed(self) -> None:
         """Note that there is no path any more."""
@@ -92,6 +93,10 @@ class Supervisor:
     def goal_reached(self) -> None:
         """Note that the end of the path is reached."""
         self._goal_reached = True
+
+    def goal_missed(self, problem: str) -> None:
+        """Note that the robot will not get to the end of the path."""
+        self._goal_problem = problem
 
     def command_refused(self, problem: str) -> None:
         """Note that no sound command could be found for the last odometry."""
@@ -107,7 +112,7 @@ class Supervisor:
 
     def resume(self) -> None:
         """Go on after a stop, or after the robot was too far from the path."""
-        self._stopped, self._deviation = False, ""
+        self._stopped, self._deviation, self._goal_problem = False, "", ""
 
     def status(self, now: float) -> Status:
         """Return the state at a steady time [s]."""
@@ -157,6 +162,11 @@ class Supervisor:
                 "following goes on with the next odometry",
             ),
             (bool(self._deviation), self._deviation, f"bring the robot back, then {_RESUME}"),
+            (
+                bool(self._goal_problem),
+                self._goal_problem,
+                f"publish another path, or {_RESUME} to try again",
+            ),
         )
         for holds, cause, remedy in faults:
             if holds:

@@ -13,6 +13,7 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from adp_path_follower import __version__
@@ -95,6 +96,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             Odometry, "odom", self._receive_odometry, qos_profile_sensor_data
         )
         path = self.create_subscription(PathMessage, "path", self._receive_path, latched)
+        limit = self.create_subscription(Float64, "speed_limit", self._receive_speed_limit, 1)
         reset = self.create_service(Trigger, "~/reset_learning", self._reset_learning)
         stop = self.create_service(Trigger, "~/stop", self._stop)
         resume = self.create_service(Trigger, "~/resume", self._resume)
@@ -102,6 +104,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._entities = [
             (self.destroy_subscription, odom),
             (self.destroy_subscription, path),
+            (self.destroy_subscription, limit),
             *((self.destroy_service, service) for service in (reset, stop, resume)),
             (self.destroy_timer, watchdog),
             *self._weights.entities(),
@@ -219,6 +222,12 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._publish_configuration()
         self._telemetry.markers(self._now(), frame, path, None)
 
+    def _receive_speed_limit(self, message: Float64) -> None:
+        """Set the parameter speed_limit, so that whoever asks for it sees what holds."""
+        (result,) = self.set_parameters([Parameter("speed_limit", value=message.data)])
+        if not result.successful:
+            self.get_logger().error(f"speed limit refused: {result.reason}")
+
     def _refuse_path(self, problem: str) -> None:
         self._path_problem = problem
         self.get_logger().error(f"path refused: {problem}")
@@ -312,6 +321,8 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._telemetry.markers(time, self._path_frame, follower.path, output)
         if self._driver.at_goal:
             self._supervisor.goal_reached()
+        elif follower.goal.problem:
+            self._supervisor.goal_missed(follower.goal.problem)
 
     def _command_problem(self, output: FollowerOutput, elapsed: float) -> str:
         """Return why a command must not be sent, empty if it may."""
@@ -351,6 +362,9 @@ class PathFollowerNode(Ending, LifecycleNode):
         leaves = self._shown.state is State.FOLLOWING and self._supervisor.active
         if leaves and self._commands is not None:
             self._commands.stop()
+            self._last_command = _ZERO
+            if self._driver.stopped():
+                self._publish_configuration()
         same_state, self._shown = status.state is self._shown.state, status
         if same_state and now < self._next_diagnostics:
             return status  # a cause that changes with every message is no news with each
@@ -384,7 +398,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         driver, after = self._driver, NO_STEP if self._step_time is None else self._step_time
         self._telemetry.configuration(
             configuration_text(
-                *(driver.settings, driver.path, after, driver.learning_resets, driver.restarts),
+                *(driver.settings, driver.path, after),
+                *(driver.learning_resets, driver.restarts, driver.stops),
                 self._weights.digest,
             )
         )

@@ -1,0 +1,155 @@
+"""The speed along a path against closed forms, and against integrated motion."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.path_library import circle, lissajous, named_path
+from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SHARE, SpeedProfile, SpeedReference
+
+EIGHT = lissajous()
+LINE = named_path("line")
+BEND = Path.from_points(  # 3 m straight on, a quarter of a circle of 0.5 m, 3 m straight on
+    [
+        *([x, 0.0] for x in np.linspace(0.0, 3.0, 121)),
+        *(
+            [3.0 + 0.5 * math.sin(angle), 0.5 - 0.5 * math.cos(angle)]
+            for angle in np.linspace(0.0, 0.5 * math.pi, 33)[1:]
+        ),
+        *([3.5, y] for y in np.linspace(0.5, 3.5, 121)[1:]),
+    ]
+)
+
+
+def profile_of(path, **values):
+    return SpeedProfile(path, build(Settings, values))
+
+
+@pytest.mark.parametrize("path", [EIGHT, LINE, circle(-1.0)], ids=["eight", "line", "circle"])
+def test_without_limits_that_bind_it_is_the_desired_speed(path):
+    profile = profile_of(path)
+    assert not profile.varies
+    assert not profile.stops
+    assert (profile.speed(np.linspace(-3.0, path.length + 3.0, 999)) == 0.5).all()
+    # Nor do accelerations change anything on a closed path that is gentle enough.
+    limits = {"max_linear_accel": 1.0, "max_linear_decel": 1.0, "max_angular_accel": 3.0}
+    assert path is LINE or not profile_of(path, **limits).varies
+
+
+@settings(max_examples=50, deadline=None)
+@given(speed=st.floats(0.1, 3.0), decel=st.floats(0.05, 5.0), left=st.floats(0.0, 20.0))
+def test_the_end_of_a_line_is_braked_to_from_the_braking_distance(speed, decel, left):
+    profile = profile_of(LINE, desired_speed=speed, max_linear_vel=5.0, max_linear_decel=decel)
+    assert profile.stops
+    found = float(profile.speed(np.asarray(LINE.length - left)))
+    # 20 mm nodes: the last whole one before the braking distance is already below the speed.
+    expected = min(speed, math.sqrt(2.0 * SHARE * decel * left))
+    assert found == pytest.approx(expected, rel=1e-9) or found == pytest.approx(expected, abs=0.05)
+    assert found <= expected + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({"max_lateral_accel": 0.1}, math.sqrt(0.1 / 2.0)),
+        ({"max_angular_vel": 0.6}, SHARE * 0.6 / 2.0),
+        ({"speed_limit": 0.2}, 0.2),
+        ({"max_linear_vel": 0.3}, 0.3),
+        ({"desired_speed": 0.1, "max_lateral_accel": 0.1}, 0.1),
+    ],
+)
+def test_on_a_circle_the_tightest_limit_holds(values, expected):
+    profile = profile_of(circle(2.0), **values)
+    assert profile.speed(np.linspace(-9.0, 9.0, 99)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_it_brakes_before_a_bend_and_accelerates_after_it():
+    accel, decel, lateral = 0.3, 0.2, 0.1
+    profile = profile_of(
+        BEND, max_linear_accel=accel, max_linear_decel=decel, max_lateral_accel=lateral
+    )
+    inside = math.sqrt(lateral * 0.5)
+    middle = 3.0 + 0.125 * math.pi
+    assert float(profile.speed(np.asarray(middle))) == pytest.approx(inside, rel=0.01)
+    for before in (0.1, 0.3):
+        expected = math.sqrt(inside**2 + 2.0 * SHARE * decel * before)
+        found = float(profile.speed(np.asarray(3.0 - before)))
+        assert found == pytest.approx(min(0.5, expected), rel=0.05)
+    after = 3.0 + 0.25 * math.pi
+    expected = math.sqrt(inside**2 + 2.0 * SHARE * accel * 0.1)
+    assert float(profile.speed(np.asarray(after + 0.1))) == pytest.approx(expected, rel=0.05)
+    assert float(profile.speed(np.asarray(1.0))) == 0.5
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    accel=st.floats(0.1, 3.0),
+    decel=st.floats(0.1, 3.0),
+    lateral=st.floats(0.02, 1.0),
+    turn=st.floats(0.2, 2.0),
+    turn_accel=st.floats(0.3, 5.0),
+    path=st.sampled_from([EIGHT, BEND, circle(1.5)]),
+)
+def test_a_robot_that_keeps_to_it_keeps_every_limit(accel, decel, lateral, turn, turn_accel, path):
+    profile = profile_of(
+        path,
+        max_linear_accel=accel,
+        max_linear_decel=decel,
+        max_lateral_accel=lateral,
+        max_angular_vel=turn,
+        max_angular_accel=turn_accel,
+    )
+    place = np.linspace(0.0, path.length, 20_001)
+    v, kappa = profile.speed(place), path.curvature(place)
+    along = np.diff(v**2) / (2.0 * np.diff(place))  # a = v dv/ds
+    assert along.max() <= SHARE * accel * (1.0 + 1e-6) + 1e-9
+    assert along.min() >= -SHARE * decel * (1.0 + 1e-6) - 1e-9
+    assert (v**2 * np.abs(kappa)).max() <= lateral * 1.1  # curvature is sampled every 20 mm
+    assert np.abs(v * kappa).max() <= turn
+    if path is not BEND:  # whose curvature jumps
+        middle = 0.5 * (v[1:] + v[:-1])
+        assert np.abs(np.diff(v * kappa) / np.diff(place) * middle).max() <= turn_accel
+
+
+def test_it_comes_round_on_a_closed_path():
+    profile = profile_of(EIGHT, max_linear_accel=0.1, max_linear_decel=0.05, max_lateral_accel=0.05)
+    place = np.linspace(0.0, EIGHT.length, 500)
+    np.testing.assert_allclose(profile.speed(place), profile.speed(place + 3.0 * EIGHT.length))
+    seam = profile.speed(np.array([-1e-6, 0.0, 1e-6]))
+    assert np.ptp(seam) < 1e-5
+
+
+def test_models_take_no_speed_for_zero():
+    profile = profile_of(LINE, max_linear_decel=1.0)
+    assert float(profile.speed(np.asarray(LINE.length))) == 0.0
+    assert float(profile.model_speed(np.asarray(LINE.length))) == 0.05
+    assert profile_of(LINE, desired_speed=0.04).slowest == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.2, 0.9])
+def test_it_is_reached_from_the_robots_speed_with_its_accelerations(begin):
+    tuning = build(Settings, {"max_linear_accel": 0.4, "max_linear_decel": 0.25})
+    reference = SpeedReference(SpeedProfile(LINE, tuning), tuning)
+    reference.launch(np.asarray(7.0), np.asarray(begin))
+    for run in (0.0, 0.1, 0.3, 2.0):
+        found = float(reference.speed(np.asarray(7.0 + run)))
+        if begin > 0.5:
+            expected = max(0.5, math.sqrt(max(begin**2 - 2.0 * SHARE * 0.25 * run, 0.0)))
+        else:
+            expected = min(0.5, math.sqrt(max(begin, 0.05) ** 2 + 2.0 * SHARE * 0.4 * run))
+        assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_nothing_is_to_be_reached_where_accelerations_have_no_limit():
+    tuning = build(Settings, {})
+    reference = SpeedReference(SpeedProfile(LINE, tuning), tuning)
+    reference.launch(np.asarray(7.0), np.asarray(0.0))
+    assert reference.speed(np.asarray(7.0)) is None
