@@ -12,7 +12,7 @@ from adp_path_follower.core.geometry import FloatArray, components, unpacked
 from adp_path_follower.core.settings import Settings
 
 _LONGEST_DELAY = 1.0  # [s]: the highest actuation_delay; older commands are forgotten
-_LEAST_PERIOD = 1e-6  # [s]
+_LEAST_PERIOD, _MOST_PERIOD = 1e-6, 0.1  # [s]: after a pause a command does not make up for it
 
 
 class Actuation:
@@ -93,7 +93,7 @@ class Actuation:
         """Return the time over which a command may change [s]; after a stop, a usual period."""
         if self.stopped or elapsed <= _LEAST_PERIOD:
             return 1.0 / settings.controller.controller_frequency
-        return elapsed
+        return min(elapsed, _MOST_PERIOD)
 
 
 def _driven(pose: FloatArray, commands: FloatArray, durations: FloatArray) -> FloatArray:

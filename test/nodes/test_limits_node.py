@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -63,14 +64,15 @@ def test_a_run_with_limits_stops_and_other_paths_keeps_them_and_replays(peer, st
     driving = (found[1:] > 0.0) & (found[:-1] > 0.0)  # without the stops, which are immediate
     change = np.diff(found)[driving]
     elapsed = np.diff(stamps)[driving]
-    assert (change <= 0.4 * elapsed + 1e-9).all()
-    assert (change >= -0.6 * elapsed - 1e-9).all()
+    assert (change <= 0.4 * elapsed + 1e-6).all()  # stamps as float seconds know 0.2 µs
+    assert (change >= -0.6 * elapsed - 1e-6).all()
     first = np.flatnonzero((found[1:] > 0.0) & (found[:-1] == 0.0)) + 1
     assert found[first].max() <= 0.4 * 0.01 + 1e-9  # it starts from rest
     run = read_run(tmp_path / "bag")
     changes = [parse_configuration(text) for _, text in run.configurations]
-    assert [change.values["speed_limit"] for change in changes[-2:]] == [0.2, math.inf]
-    assert changes[-1].stops == 1
+    limits = [change.values["speed_limit"] for change in changes]
+    assert [value for value, _ in itertools.groupby(limits)] == [math.inf, 0.2, math.inf]
+    assert changes[-1].stops >= 1  # a busy machine may add some
     again = replay(run)
     assert again.answered.sum() > 300
     assert again.identical[again.answered].all()
