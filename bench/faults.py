@@ -1,6 +1,9 @@
 """Measure the time from a fault to zero velocity, with real processes over real DDS.
 
-    python bench/faults.py [--runs 20] [--json FILE]
+    python bench/faults.py [--runs 20] [--group NAME ...] [--only TEXT] [--json FILE] [--table]
+
+With `--json` the times are laid over those that are in the file already; `--table` prints that file
+as the table of docs/safety.md instead of measuring.
 
 A controller follows a line; the fault is injected again and again, each time after it has been
 seen to move the robot. Time is from the injection until a command of zero velocity is received, so
@@ -11,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import itertools
 import json
 import os
@@ -27,11 +31,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "nodes"
 
 # What the tests have for nodes, a peer on their domain and a defective controller.
 from conftest import Drive, Peer, is_zero  # after the path
+from fault_table import GROUPS, table
+from geometry_msgs.msg import TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from test_controller_node import BROKEN_CONTROLLER
-from test_safety import HANGING_CONTROLLER
+from test_other_processes import Team, launched
+from test_safety import HANGING_CONTROLLER, SimulatedTime
 
 from adp_path_follower.nodes.processes import NodeProcess, own_domain
 
@@ -41,6 +50,7 @@ ODOMETRY = {
     "odometry is infinite": {"y": INFINITE},
     "orientation of zero norm": {"qw": 0.0, "qz": 0.0},
     "odometry is 1 s old by its stamp": {"later": -1.0},
+    "odometry stamps go back": {"later": -0.3},
     "odometry of another robot frame": {"child_frame_id": "other"},
     "odometry jumps by 3 m": {"x": 3.0},
     "odometry turns by half a turn": {"qz": 1.0, "qw": 0.0},
@@ -50,14 +60,18 @@ ODOMETRY = {
 class Bench:
     """Controllers on a domain of their own."""
 
-    def __init__(self, domain: int, folder: Path) -> None:
-        """Take the domain and a folder for logs."""
-        self._domain, self._folder = domain, folder
+    def __init__(self, domain: int, folder: Path, only: str) -> None:
+        """Take the domain, a folder for logs, and a part of the names of faults that are wanted."""
+        self._domain, self._folder, self._only = domain, folder, only
         self._numbers = itertools.count()
 
+    def wanted(self, *names: str) -> bool:
+        """Return whether one of these faults is to be measured."""
+        return any(self._only in name for name in names)
+
     @contextlib.contextmanager
-    def drive(self, **parameters: Any) -> Iterator[Drive]:
-        """Yield a robot that moves."""
+    def nodes(self) -> Iterator[tuple[Peer, Callable[..., NodeProcess]]]:
+        """Yield a peer, and what starts nodes that end with the block."""
         peer, nodes = Peer(self._domain), []
 
         def start(executable: str, **values: Any) -> NodeProcess:
@@ -66,11 +80,30 @@ class Bench:
             return nodes[-1]
 
         try:
-            yield Drive(peer, start, **parameters)
+            yield peer, start
         finally:
             peer.close()
             for node in nodes:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(node.process.pid, signal.SIGCONT)
                 node.stop()
+
+    @contextlib.contextmanager
+    def drive(self, **parameters: Any) -> Iterator[Drive]:
+        """Yield a robot that moves."""
+        with self.nodes() as (peer, start):
+            yield Drive(peer, start, **parameters)
+
+    @contextlib.contextmanager
+    def orphan(self) -> Iterator[tuple[Drive, subprocess.Popen[bytes]]]:
+        """Yield a robot that moves, and the process that launched its controller."""
+        peer = Peer(self._domain)
+        try:
+            log = self._folder / f"{next(self._numbers)}.log"
+            with launched(peer, self._domain, log) as (drive, launcher, _):
+                yield drive, launcher
+        finally:
+            peer.close()
 
     @contextlib.contextmanager
     def defective(self, code: str) -> Iterator[Peer]:
@@ -155,30 +188,171 @@ def recoverable(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
             peer.spin(0.3)
             peer.call(Trigger, "path_follower/resume")
 
-        peer.set_parameter("path_follower", "max_cross_track_error", 0.15)
+        limits = {
+            "max_cross_track_error": (0.15, {"y": 0.2}),
+            "max_heading_error": (0.3, {"qz": 0.2474, "qw": 0.9689}),
+        }
+        for name, (limit, values) in limits.items():
+            peer.set_parameter("path_follower", name, limit)
+            inject = functools.partial(feed, values)
+            yield name, injected(drive, inject, back_on_the_path, runs)
+            peer.set_parameter("path_follower", name, INFINITE)
+
+        def back_in_the_frame() -> None:
+            feed({})
+            peer.spin(0.2)
+            peer.send_path()
+
         yield (
-            "max_cross_track_error",
-            injected(drive, lambda: feed({"y": 0.2}), back_on_the_path, runs),
+            "odometry in another frame",
+            injected(drive, lambda: feed({"frame_id": "map"}), back_in_the_frame, runs),
         )
+        yield (
+            "deactivate",
+            injected(
+                drive,
+                lambda: _transition(peer, Transition.TRANSITION_DEACTIVATE),
+                lambda: _transition(peer, Transition.TRANSITION_ACTIVATE),
+                runs,
+            ),
+        )
+
+
+def _transition(peer: Peer, number: int) -> None:
+    """Ask the controller for a transition, and do not wait for the answer."""
+    name = "path_follower/change_state"
+    client = peer.node.create_client(ChangeState, name)
+    peer.until(client.service_is_ready, name)
+    client.call_async(ChangeState.Request(transition=Transition(id=number)))
+
+
+def clocks(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
+    """Yield the faults of /clock, with their times."""
+    with bench.nodes() as (peer, start):
+        commands = peer.listen(TwistStamped, "cmd_vel")
+        start("controller", use_sim_time=True)
+        peer.until_matched(peer.path)
+        peer.send_path()
+        clock = SimulatedTime(peer)
+        clock.time = 100.0
+
+        def stand_still() -> None:
+            clock.runs = False
+
+        def go_on() -> None:
+            clock.runs = True
+
+        def go_back() -> None:
+            clock.time -= 0.3
+
+        for name, inject in (
+            ("/clock stands still (timeout 0.5 s)", stand_still),
+            ("/clock goes back", go_back),
+        ):
+            times = []
+            for run in range(runs):
+                commands.clear()
+                peer.until(lambda: len(commands) > 20 and not is_zero(commands[-1]), "motion")
+                peer.spin(0.3 + 0.0037 * run)
+                begun = time.monotonic()
+                inject()
+                times.append(until_zero(peer, commands, begun))
+                go_on()
+            yield name, times
+
+
+def processes(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
+    """Yield what happens when processes stall and die, with the times."""
+    with bench.nodes() as (peer, start):
+        team = Team(peer, start)
+
+        def told() -> bool:
+            return bool(team.commands) and is_zero(team.commands[-1])
+
+        def at_rest() -> bool:
+            return bool(team.truth) and team.truth[-1].twist.twist.linear.x == 0.0
+
+        def new_simulator() -> None:
+            team.simulator = start("sim_unicycle", theta=1.249)
+
+        def new_controller() -> None:
+            team.controller = start("controller")
+
+        def go_on(executable: str) -> None:
+            os.kill(getattr(team, executable).process.pid, signal.SIGCONT)
+
+        cases: tuple[tuple[str, str, int, Callable[[], bool], Callable[[], None]], ...] = (
+            (
+                "the odometry source stalls (timeout 0.5 s)",
+                "simulator",
+                signal.SIGSTOP,
+                told,
+                lambda: go_on("simulator"),
+            ),
+            (
+                "the odometry source dies (timeout 0.5 s)",
+                "simulator",
+                signal.SIGKILL,
+                told,
+                new_simulator,
+            ),
+            (
+                "the controller stalls (command_timeout 0.5 s)",
+                "controller",
+                signal.SIGSTOP,
+                at_rest,
+                lambda: go_on("controller"),
+            ),
+            (
+                "the controller dies (command_timeout 0.5 s)",
+                "controller",
+                signal.SIGKILL,
+                at_rest,
+                new_controller,
+            ),
+        )
+        for name, executable, number, stopped, repair in cases:
+            times = []
+            for run in range(runs):
+                team.until_moving()
+                peer.spin(0.2 + 0.0037 * run)
+                begun = time.monotonic()
+                os.kill(getattr(team, executable).process.pid, number)
+                peer.until(stopped, name)
+                times.append(time.monotonic() - begun)
+                repair()
+            yield name, times
 
 
 def final(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
     """Yield each fault that ends the controller, or a step of it, with its times."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    ends: dict[str, Callable[[Drive], None]] = {
+        number.name: lambda drive, number=number: os.killpg(drive.controller.process.pid, number)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    ends["shutdown"] = lambda drive: _transition(drive.peer, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    for name, end in ends.items():
         times = []
-        for _ in range(runs):
+        for _ in range(runs if bench.wanted(name) else 0):
             with bench.drive() as drive:
                 begun = time.monotonic()
-                os.killpg(drive.controller.process.pid, number)
+                end(drive)
                 times.append(until_zero(drive.peer, drive.commands, begun))
-        yield number.name, times
+        yield name, times
+    name, times = "the launcher dies", []
+    for _ in range(runs if bench.wanted(name) else 0):
+        with bench.orphan() as (drive, launcher):
+            begun = time.monotonic()
+            launcher.kill()
+            times.append(until_zero(drive.peer, drive.commands, begun))
+    yield name, times
     defects = {
         "an exception in a callback": BROKEN_CONTROLLER,
         "a control step that hangs (timeout 0.5 s)": HANGING_CONTROLLER,
     }
     for name, code in defects.items():
         times = []
-        for _ in range(runs):
+        for _ in range(runs if bench.wanted(name) else 0):
             with bench.defective(code) as peer:
                 times.append(_from_last_motion(peer))
         yield name, times
@@ -186,8 +360,6 @@ def final(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
 
 def _from_last_motion(peer: Peer) -> float:
     """Return the time from the last command to move until zero velocity [s]."""
-    from geometry_msgs.msg import TwistStamped
-
     last = time.monotonic()
     stopped = 0.0
 
@@ -211,23 +383,45 @@ def _from_last_motion(peer: Peer) -> float:
 
 
 def main() -> None:
-    """Print the table, and write it if asked."""
+    """Print the times, and write them if asked; or print the table of what was written."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=20, help="of each fault (default: 20)")
-    parser.add_argument("--json", type=Path, help="write the times [s] here")
+    parser.add_argument("--only", default="", help="part of the names of the faults to measure")
+    parser.add_argument(
+        "--group", choices=GROUPS, nargs="+", default=list(GROUPS), help="of faults to measure"
+    )
+    parser.add_argument("--json", type=Path, help="read and write the times [s] here")
+    parser.add_argument("--table", action="store_true", help="print what --json holds, and end")
     arguments = parser.parse_args()
-    found = {}
-    print(f"{'fault':<44}{'median':>10}{'worst':>10}   time to zero velocity [ms]")
+    found: dict[str, list[float]] = {}
+    if arguments.json and arguments.json.exists():
+        found = json.loads(arguments.json.read_text(encoding="utf-8"))
+    if arguments.table:
+        print(table(found))
+        return
+    print(f"{'fault':<48}{'median':>10}{'worst':>10}   time to zero velocity [ms]")
     with own_domain() as domain, tempfile.TemporaryDirectory() as folder:
-        bench = Bench(domain, Path(folder))
-        for name, times in itertools.chain(
-            recoverable(bench, arguments.runs), final(bench, arguments.runs)
-        ):
-            found[name] = sorted(times)
-            median = 1e3 * found[name][len(times) // 2]
-            print(f"{name:<44}{median:10.0f}{1e3 * max(times):10.0f}", flush=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        bench = Bench(domain, Path(folder), arguments.only)
+        groups = (recoverable, clocks, processes, final)
+        for group in (item for item in groups if item.__name__ in arguments.group):
+            for name, times in _wanted(bench, group, arguments.runs):
+                found[name] = sorted(times)
+                median = 1e3 * found[name][len(times) // 2]
+                print(f"{name:<48}{median:10.0f}{1e3 * max(times):10.0f}", flush=True)
+                if arguments.json:
+                    text = json.dumps(found, indent=2) + "\n"
+                    arguments.json.write_text(text, encoding="utf-8")
+    print(f"load: {os.getloadavg()}")
+
+
+def _wanted(
+    bench: Bench, group: Callable[[Bench, int], Iterator[tuple[str, list[float]]]], runs: int
+) -> Iterator[tuple[str, list[float]]]:
+    """Yield the faults of a group that are to be measured."""
+    if bench.wanted(*GROUPS[group.__name__]):
+        for name, times in group(bench, runs):
+            if bench.wanted(name) and times:
+                yield name, times
 
 
 if __name__ == "__main__":

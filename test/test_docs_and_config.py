@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from pathlib import Path
@@ -109,6 +110,23 @@ def test_links_in_the_docs_lead_somewhere():
         for target in re.findall(r"\]\(([^)#]+)\)", text):
             if "://" not in target:
                 assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_the_table_of_faults_is_that_of_the_bench_and_its_tests_exist():
+    text = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| ([^|]+) \| [^|]+ \| [^|]+ \| \d+ ms \| \d+ ms \| `(\w+)` \|$", text, re.M
+    )
+    (faults,) = [
+        node.value
+        for node in ast.parse((ROOT / "bench" / "fault_table.py").read_text()).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FAULTS"
+    ]
+    assert isinstance(faults, ast.Dict)
+    assert [name for name, _ in rows] == [ast.literal_eval(key) for key in faults.keys]
+    tests = " ".join(file.read_text() for file in (ROOT / "test" / "nodes").glob("test_*.py"))
+    for _, test in rows:
+        assert re.search(rf"def test_\w*{test}", tests), test
 
 
 def test_notation_names_things_that_exist():

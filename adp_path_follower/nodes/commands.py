@@ -20,8 +20,9 @@ from adp_path_follower.nodes.telemetry import EVERY_STEP, LOSSLESS
 WATCH_PERIOD = 0.02  # [s], steady
 
 _STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop
-_DELIVERY_TIMEOUT = 0.3  # [s]
-_LAST_WORDS = 3  # zero velocities before the node goes
+_LAST_WORDS = 3  # zero velocities before the node goes, at least
+_MOST_LAST_WORDS = 15  # and at most
+_DELIVERY_PERIOD = 0.02  # [s] between those that are not delivered yet
 _ZERO = np.zeros(2)
 
 
@@ -80,11 +81,16 @@ class Commands:
             self._send_zero()
 
     def last_words(self) -> None:
-        """Publish zero velocity three times and wait, not for long, until it was delivered."""
-        for _ in range(_LAST_WORDS):
+        """Publish zero velocity three times, and on, not for long, until it was delivered.
+
+        Waiting alone would not do: DDS asks only every 3 s what was lost, unless more is sent.
+        """
+        for count in range(1, _MOST_LAST_WORDS + 1):
             self._send_zero()
-            steady.sleep(0.01)
-        self._publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TIMEOUT))
+            delivered = self._publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_PERIOD))
+            if delivered and count >= _LAST_WORDS:
+                break
+            steady.sleep(0.01 if delivered else 0.0)
 
     def destroy(self) -> None:
         """End the thread and destroy the publisher."""

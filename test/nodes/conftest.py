@@ -39,6 +39,7 @@ class Peer:
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self.received: dict[str, list[Any]] = {}
+        self._clients: dict[str, Any] = {}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.odometry = self.node.create_publisher(Odometry, "odom", 10)
         self.path = self.node.create_publisher(PathMessage, "path", latched)
@@ -71,7 +72,9 @@ class Peer:
 
     def call(self, kind: type, name: str, request: Any = None) -> Any:
         """Return the answer of a service."""
-        client = self.node.create_client(kind, name)
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        client = self._clients[name]
         self.until(client.service_is_ready, f"service {name}")
         future = client.call_async(request or kind.Request())
         self.until(future.done, f"answer of {name}")
@@ -97,6 +100,8 @@ class Peer:
         for name, value in changes.items():
             if name == "child_frame_id":
                 message.child_frame_id = value
+            elif name == "frame_id":
+                message.header.frame_id = value
             elif name.startswith("q"):
                 setattr(message.pose.pose.orientation, name[1:], value)
             else:

@@ -13,6 +13,7 @@ import pytest
 from conftest import Drive, Peer, is_zero
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.qos import qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.nodes
@@ -39,7 +40,8 @@ class Team:
     def __init__(self, peer: Peer, start) -> None:
         self.peer = peer
         self.commands = peer.listen(TwistStamped, "cmd_vel")
-        self.truth = peer.listen(Odometry, "ground_truth")
+        # Best effort: a reliable reader may wait for seconds for what a killed process lost.
+        self.truth = peer.listen(Odometry, "ground_truth", qos_profile_sensor_data)
         self.controller = start("controller")
         self.simulator = start("sim_unicycle", theta=1.249)
         self.publisher = start("path_publisher")

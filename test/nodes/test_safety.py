@@ -10,6 +10,8 @@ import pytest
 from conftest import Drive, Peer, is_zero
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Path as PathMessage
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -203,3 +205,41 @@ def test_status_is_known_at_once_to_those_who_come_late(drive):
     assert len(found) == count
     drive.controller.stop()
     drive.peer.until(lambda: last()["state"] == "inactive", "the last words")
+
+
+def test_odometry_in_another_frame_stops_the_robot_until_a_path_comes_in_it(drive):
+    drive.odometry = {"frame_id": "map"}
+    assert silent_after_stop(drive)
+    drive.until_diagnosed("path is in frame 'odom', but odometry in 'map'")
+    drive.peer.send_path(frame="map")
+    drive.until_moving()
+
+
+def test_turned_too_far_from_the_path_is_a_stop_until_resume(drive):
+    assert drive.peer.set_parameter("path_follower", "max_heading_error", 0.3).successful
+    drive.odometry = {"qz": 0.2474, "qw": 0.9689}  # half a radian
+    assert silent_after_stop(drive)
+    drive.until_diagnosed("above max_heading_error 0.3")
+    drive.odometry = {}
+    drive.peer.spin(0.3)
+    drive.peer.call(Trigger, "path_follower/resume")
+    drive.until_moving()
+
+
+@pytest.mark.parametrize(
+    "transition", [Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVE_SHUTDOWN]
+)
+def test_a_lifecycle_transition_stops_the_robot_first(drive, transition):
+    seen = len(drive.commands)
+    request = ChangeState.Request(transition=Transition(id=transition))
+    assert drive.peer.call(ChangeState, "path_follower/change_state", request).success
+    drive.peer.spin(0.5)
+    last = drive.commands[seen:][-3:]
+    assert len(last) == 3
+    assert all(map(is_zero, last))
+    process = drive.controller.process
+    if transition == Transition.TRANSITION_ACTIVE_SHUTDOWN:
+        drive.peer.until(lambda: process.poll() is not None, "the end of the node")
+        assert process.returncode == 0
+    else:
+        assert process.poll() is None
