@@ -12,6 +12,7 @@ from adp_path_follower.analysis.projection import Projection, project
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.bags.reader import Diagnostic, Run
+from adp_path_follower.bags.recorded_routes import RecordedRoutes
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path as FollowedPath
@@ -174,11 +175,12 @@ def _paths(bag: Path, run: Run, notes: list[str]) -> tuple[tuple[FollowedPath, .
     if not run.paths:
         raise FileError(f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path")
     paths, times, problem = [], [], ""
-    for time, points in run.paths:
-        if not len(points):  # how planners take a path back
+    routes = RecordedRoutes(run, None)
+    for number, (time, poses) in enumerate(run.paths):
+        if not len(poses):  # how planners take a path back
             continue
         try:
-            paths.append(FollowedPath.from_points(points))
+            paths.append(routes.single_path(number))
             times.append(time)
         except AdpError as error:
             problem = str(error)

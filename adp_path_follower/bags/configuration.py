@@ -11,6 +11,7 @@ from adp_path_follower import __version__
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import parse_yaml
 from adp_path_follower.core.path import Path
+from adp_path_follower.core.route import Route
 from adp_path_follower.core.schema import build, flatten, yaml_text
 from adp_path_follower.core.settings import Settings
 
@@ -23,7 +24,9 @@ class Configuration:
 
     Attributes:
         values: Setting -> value, as far as the bag says.
-        path_digest: `Path.digest` of the path that is followed, empty without one.
+        path_digest: `Route.digest` of the route that is followed, empty without one.
+        transform: x [m], y [m] and turn [rad] by which the path was brought from its own frame
+            into the odometry's, empty where both are the same.
         after_step: Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
         learning_resets: How often learning has been reset since the node's start.
         restarts: How often following has begun anew from where the robot was then.
@@ -34,6 +37,7 @@ class Configuration:
 
     values: Mapping[str, object]
     path_digest: str = ""
+    transform: tuple[float, ...] = ()
     after_step: int = NO_STEP
     learning_resets: int = 0
     restarts: int = 0
@@ -53,17 +57,19 @@ class Configuration:
 
 def configuration_text(
     settings: Settings,
-    path: Path | None,
+    path: Route | Path | None,
     after_step: int = NO_STEP,
     learning_resets: int = 0,
     restarts: int = 0,
     stops: int = 0,
     saved_weights: str = "",
+    transform: tuple[float, ...] = (),
 ) -> str:
     """Return the text that says what a controller runs with, as YAML."""
     lines = [f"version: {__version__}"]
     if path is not None:
-        lines.append(f"path: {{digest: '{path.digest()}', length: {path.length!r}}}")
+        moved = f", transform: {yaml_text(transform)}" if transform else ""
+        lines.append(f"path: {{digest: '{path.digest()}', length: {path.length!r}{moved}}}")
     lines += [f"after_step: {after_step}", f"learning_resets: {learning_resets}"]
     lines += [f"restarts: {restarts}", f"stops: {stops}"]
     if saved_weights:
@@ -100,9 +106,19 @@ def parse_configuration(text: str) -> Configuration:
     return Configuration(
         values=values,
         path_digest=str(path.get("digest", "")) if isinstance(path, dict) else "",
+        transform=_transform(path),
         after_step=whole("after_step", NO_STEP),
         learning_resets=whole("learning_resets", 0),
         restarts=whole("restarts", 0),
         stops=whole("stops", 0),
         saved_weights=str(content.get("saved_weights", "")),
     )
+
+
+def _transform(path: object) -> tuple[float, ...]:
+    values = path.get("transform") if isinstance(path, dict) else None
+    if not isinstance(values, list) or len(values) != 3:
+        return ()
+    if not all(isinstance(value, int | float) for value in values):
+        return ()
+    return tuple(float(value) for value in values)

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from adp_path_follower.bags.columns import Columns, Series
+from adp_path_follower.bags.path_message import read_path
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 
@@ -73,8 +74,8 @@ class Run:
     Attributes:
         series: Topic (without namespace) -> its messages. Poses are x, y, theta; odometry has
             v, w behind them; commands are v, w; errors s, y, theta.
-        paths: Arrival [ns] and positions, shape (N, 2), of each path that differs from the one
-            before.
+        paths: Arrival [ns] and x, y, heading (NaN without), shape (N, 3), of each path that differs
+            from the one before.
         configurations: Arrival [ns] and text (YAML) of what the controller said it runs with.
         message_counts: Topic -> number of messages, of every topic in the bag.
         diagnostics: What changed in /diagnostics.
@@ -97,7 +98,7 @@ class Run:
     @property
     def path_points(self) -> FloatArray:
         """Return the positions of the last path, shape (N, 2); empty without one."""
-        return self.paths[-1][1] if self.paths else np.zeros((0, 2))
+        return self.paths[-1][1][:, :2] if self.paths else np.zeros((0, 2))
 
     @property
     def configuration(self) -> str:
@@ -295,7 +296,7 @@ class _Collector:
             if key == "path" and raw == self._last_path:  # published again, unchanged
                 return
             try:
-                message = store.deserialize_cdr(raw, kind)
+                message = read_path(raw) if key == "path" else store.deserialize_cdr(raw, kind)
             except Exception:  # whatever a damaged message does to the library
                 self._undecodable[key] = self._undecodable.get(key, 0) + 1
                 return
@@ -305,10 +306,9 @@ class _Collector:
         return handle
 
     def _take_path(self, time: int, message: Any) -> None:
-        points = [[item.pose.position.x, item.pose.position.y] for item in message.poses]
-        array = np.array(points, dtype=float).reshape(-1, 2)
-        if not self._paths or not np.array_equal(array, self._paths[-1][1]):
-            self._paths.append((time, array))
+        poses = message.poses
+        if not self._paths or not np.array_equal(poses, self._paths[-1][1], equal_nan=True):
+            self._paths.append((time, poses))
 
     def _take_configuration(self, time: int, message: Any) -> None:
         if not self._configurations or message.data != self._configurations[-1][1]:

@@ -9,11 +9,12 @@ import numpy as np
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.configuration import Configuration, parse_configuration
 from adp_path_follower.bags.reader import Run
+from adp_path_follower.bags.recorded_routes import RecordedRoutes
 from adp_path_follower.core.driver import Driver
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
+from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.weights_file import SavedWeights, decode
 
@@ -43,7 +44,10 @@ class Replay:
     """What `PathFollower` makes of a run.
 
     Attributes:
-        follower: The follower after the run.
+        follower: The follower after the run, of the last segment that was driven.
+        settings: The settings after the run.
+        route: The route after the run.
+        transform: What brought its path into the odometry's frame, as in `Configuration`.
         steps: The control steps, N of them.
         recorded: The commands [v, w] in the bag, NaN where a step has none, shape (N, 2).
         outputs: What the follower gave, one for each step.
@@ -53,6 +57,9 @@ class Replay:
     """
 
     follower: PathFollower
+    settings: Settings
+    route: Route
+    transform: tuple[float, ...]
     steps: Steps
     recorded: FloatArray
     outputs: list[FollowerOutput]
@@ -135,8 +142,17 @@ def replay(run: Run, settings: Settings | None = None) -> Replay:
     steps = Steps(steps.stamp[:count], steps.pose[:count], steps.arrival[:count])
     commands = np.array([output.command for output in outputs])
     recorded = _recorded(run.series.get("cmd_vel"), steps, commands)
-    start = driver.saved_weights
-    return Replay(driver.follower, steps, recorded, outputs, np.array(cost), start)
+    return Replay(
+        driver.follower,
+        driver.settings,
+        driver.route,
+        driver.transform,
+        steps,
+        recorded,
+        outputs,
+        np.array(cost),
+        driver.saved_weights,
+    )
 
 
 def steps_of(run: Run) -> Steps:
@@ -186,7 +202,8 @@ class RecordedDriver:
         if not len(run.path_points):
             raise FileError("the bag has no path: nothing to replay")
         self._fixed = settings
-        self._paths = [Path.from_points(points) for _, points in run.paths if len(points)]
+        self._routes = RecordedRoutes(run, settings)
+        self.transform: tuple[float, ...] = ()
         told = run.configurations if "measured_pose" in run.series else ()
         self._changes = iter([parse_configuration(text) for _, text in told])
         self._next = next(self._changes, None)
@@ -196,7 +213,7 @@ class RecordedDriver:
         self.saved_weights = "" if saved is None else saved.digest
         self._driver = Driver(settings or self._upcoming.settings, saved)
         if self._next is None:
-            self._driver.follow(self._paths[-1])
+            self._driver.follow(self._routes.last(self._driver.settings))
         else:
             self._driver.learning_resets = self._next.learning_resets
             self._driver.restarts = self._next.restarts
@@ -209,7 +226,7 @@ class RecordedDriver:
 
     @property
     def follower(self) -> PathFollower:
-        """Return the follower of the present path."""
+        """Return the follower of the present segment."""
         assert self._driver.follower is not None  # every step makes one that is missing
         return self._driver.follower
 
@@ -219,8 +236,14 @@ class RecordedDriver:
         return self._driver.settings
 
     @property
+    def route(self) -> Route:
+        """Return the present route."""
+        assert self._driver.route is not None  # steps are taken on one
+        return self._driver.route
+
+    @property
     def at_goal(self) -> bool:
-        """Return whether the target is at the end of an open path."""
+        """Return whether the target is at the end of an open route."""
         return self._driver.at_goal
 
     def step(self, pose: FloatArray, stamp: int) -> FollowerOutput:
@@ -233,7 +256,7 @@ class RecordedDriver:
         while self._next is not None and self._next.after_step < stamp:
             self._change(self._next)
             self._next = next(self._changes, None)
-        if self._driver.path is None:
+        if self._driver.route is None:
             raise FileError("the bag has control steps from before the controller had a path")
         try:
             with np.errstate(all="ignore"):  # a damaged pose is told below, once
@@ -258,18 +281,11 @@ class RecordedDriver:
         if change.restarts != driver.restarts:
             driver.restart()
             driver.restarts = change.restarts
-        path = self._path_of(change.path_digest)
-        if path is not driver.path:
-            driver.follow(path)
+        route = self._routes.of(change)
+        self.transform = change.transform
+        if route is not driver.route:
+            driver.follow(route)
         driver.change_settings(self._fixed or change.settings)
-
-    def _path_of(self, digest: str) -> Path | None:
-        if not digest:
-            return None
-        for path in self._paths:
-            if path.digest() == digest:
-                return path
-        raise FileError(f"the bag has not the path {digest} that the controller followed")
 
 
 def _saved_weights(run: Run, first: Configuration | None) -> SavedWeights | None:

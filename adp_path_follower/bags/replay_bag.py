@@ -90,9 +90,12 @@ def _recorded(reader: Reader, connections: list[Connection]) -> Iterator[_Entry]
 
 def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
     """Yield what the nodes would have published, step by step."""
-    messages = _Messages(found.follower.settings.learning.value_basis.labels)
+    messages = _Messages(found.settings.learning.value_basis.labels)
     text = configuration_text(
-        found.follower.settings, found.follower.path, saved_weights=found.saved_weights
+        found.settings,
+        found.route,
+        saved_weights=found.saved_weights,
+        transform=found.transform,
     )
     first = int(found.steps.arrival[0])
     yield first, "/path_follower/configuration", messages.text(text)

@@ -55,6 +55,15 @@ def rerun(run: Run, settings: Settings | None = None) -> tuple[Replay, FloatArra
     arrivals = recorded.arrival[0] + stamps[:count] - first
     steps = Steps(stamps[:count], np.array(poses), arrivals)
     nothing = np.full((count, 2), np.nan)
-    start = driver.saved_weights
-    found = Replay(driver.follower, steps, nothing, outputs, np.array(cost), start)
+    found = Replay(
+        driver.follower,
+        driver.settings,
+        driver.route,
+        driver.transform,
+        steps,
+        nothing,
+        outputs,
+        np.array(cost),
+        driver.saved_weights,
+    )
     return found, np.array(velocities)

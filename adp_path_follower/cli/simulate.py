@@ -98,7 +98,7 @@ def simulate(
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
     plant, faults = without_nodes(load_simulator(sim_params, sim_assignments))
-    path = named_path(path_name)
+    path = named_path(path_name, settings.path)
     errors = collect_starts(starts, starts_file)
     check_writable(json_file, npz_file)
     make_controller: ControllerFactory = PathFollower

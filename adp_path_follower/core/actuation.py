@@ -14,6 +14,8 @@ from adp_path_follower.core.settings import Settings
 _LONGEST_DELAY = 1.0  # [s]: the highest actuation_delay; older commands are forgotten
 _LEAST_PERIOD, _MOST_PERIOD = 1e-6, 0.1  # [s]: after a pause a command does not make up for it
 
+_TURNED = np.array([-1.0, 1.0])  # of v and w
+
 
 class Actuation:
     """Follows what is sent to one robot, or to a batch of robots; it outlives their followers.
@@ -40,6 +42,11 @@ class Actuation:
             self._sent: deque[tuple[float, FloatArray]] = deque()
         else:
             self._sent.append((self._clock, self.command))
+
+    def turn_round(self) -> None:
+        """Tell the same to a robot that faces the other way: forwards is backwards."""
+        self.command, self._rate = self.command * _TURNED, self._rate * _TURNED
+        self._sent = deque((sent, command * _TURNED) for sent, command in self._sent)
 
     def predicted(self, pose: FloatArray, delay: float, elapsed: float) -> FloatArray:
         """Return where the commands under way lead a robot, shape (..., 3).

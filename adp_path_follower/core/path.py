@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 from collections.abc import Callable
@@ -21,6 +22,20 @@ _DEGREE = 5  # of the pieces: curvature is then twice differentiable
 _PIECE = 0.05  # [m]
 _LEAST_PIECES, _MOST_PIECES = 64, 100_000  # the most take 30 MB
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
+_NEWTON_STEPS = 8
+_BLOCK = 8192  # rows at once: what a thread computes must leave others a word, too
+
+
+class TurningBackError(PathError):
+    """Report a path that turns back on itself, and where: x, y [m]."""
+
+    def __init__(self, x: float, y: float) -> None:
+        """Name the place."""
+        super().__init__(
+            f"path turns back on itself, or has too sharp a corner, near ({x:.2f}, {y:.2f}): "
+            "smooth it there, or cut it into two paths"
+        )
+        self.place = (x, y)
 
 
 @dataclass(frozen=True)
@@ -81,26 +96,29 @@ class Path:
                 finite, or points that turn back on themselves.
 
         """
-        distinct = _distinct(points)
-        joined = len(distinct) > 2 and math.dist(distinct[0], distinct[-1]) <= _CLOSING_GAP
-        if closed is None:
-            closed = joined and len(distinct) > 3
-        if closed:
-            ends = distinct[:-1] if joined else distinct
-            distinct = np.vstack([ends, ends[:1]])
-            if len(distinct) < 4:
-                raise PathError("a closed path needs at least 3 distinct points: add points")
-        chords = np.linalg.norm(np.diff(distinct, axis=0), axis=1)
-        parameter = np.concatenate([[0.0], np.cumsum(chords)])
-        ends_condition = "periodic" if closed else "not-a-knot" if len(distinct) > 3 else "natural"
-        spline = CubicSpline(parameter, distinct, bc_type=ends_condition)
-        derivative = spline.derivative()
+        distinct, _ = distinct_points(points)
+        distinct, closed = joined(distinct, closed)
+        spline, parameter = chord_spline(distinct, closed)
+        return cls.along(spline, parameter, closed, 0.25 * float(np.median(np.diff(parameter))))
+
+    @classmethod
+    def along(
+        cls, spline: CubicSpline, parameter: FloatArray, closed: bool, piece: float = _PIECE
+    ) -> Path:
+        """Return the path along a C2 spline by its arc length.
+
+        Args:
+            spline: Maps parameters to points [m].
+            parameter: Where its pieces meet, increasing.
+            closed: Whether the curve ends where it starts.
+            piece: Length of the path's pieces [m], if it is less than 5 cm.
+
+        Raises:
+            TurningBackError: The curve has a cusp.
+
+        """
         return cls._by_arc_length(
-            spline,
-            derivative,
-            parameter,
-            closed,
-            piece=min(_PIECE, 0.25 * float(np.median(chords))),
+            spline, spline.derivative(), parameter, closed, min(_PIECE, piece)
         )
 
     @classmethod
@@ -135,14 +153,15 @@ class Path:
         arc = _ArcLength(velocity, breaks)
         pieces = min(max(_LEAST_PIECES, math.ceil(arc.length / piece)), _MOST_PIECES)
         knots = np.linspace(0.0, arc.length, pieces + 1)
-        points = position(arc.parameter(knots))
+        points = _in_blocks(position, arc.parameter(knots))
         if closed:
             points[-1] = points[0]
         spline = make_interp_spline(
             knots, points, k=_DEGREE, bc_type="periodic" if closed else None
         )
         coefficients = [
-            spline(knots[:-1], nu=power) / math.factorial(power) for power in range(_DEGREE + 1)
+            _in_blocks(functools.partial(spline, nu=power), knots[:-1]) / math.factorial(power)
+            for power in range(_DEGREE + 1)
         ]
         path = cls(np.stack(coefficients, axis=-1), arc.length, closed)
         path._refuse_turning_back()
@@ -173,7 +192,7 @@ class Path:
         """Return the path curvature kappa [1/m] at each arc length, same shape."""
         return self.frame(arc_length).curvature
 
-    @property
+    @functools.cached_property
     def curvature_range(self) -> tuple[float, float]:
         """Return the least and the greatest curvature [1/m], as seen at every piece's start."""
         curvature = self.curvature(np.arange(self._pieces + 1) * self._step)
@@ -196,15 +215,35 @@ class Path:
         That is the nearest one, where a heading error of 90 degrees counts like a metre: at a
         crossing of the path with itself, and between two lanes, the heading decides.
         """
+        return self.nearest_and_score(pose)[0]
+
+    def nearest_and_score(self, pose: FloatArray) -> tuple[float, float]:
+        """Return the arc length [m] of `nearest`, and how badly it suits [m²], 0 at best."""
+        arc_length, x, y, cos, sin = self._places
+        dx, dy = x - pose[0], y - pose[1]
+        score = dx * dx + dy * dy + 1.0 - (cos * math.cos(pose[2]) + sin * math.sin(pose[2]))
+        best = int(np.argmin(score))
+        return float(arc_length[best]), float(score[best])
+
+    def make_ready(self) -> None:
+        """Compute beforehand what the first control step on the path asks for."""
+        self.digest()
+        _ = self.curvature_range, self._places
+
+    @functools.cached_property
+    def _places(self) -> tuple[FloatArray, ...]:
+        """Arc length, x, y, cos and sin of the heading at places along the path, each (M,)."""
         count = max(2, min(100_000, math.ceil(self.length / 0.02)))
         arc_length = np.linspace(0.0, self.length, count)
-        frame = self.frame(arc_length)
-        squared = ((frame.pose[:, :2] - pose[:2]) ** 2).sum(axis=1)
-        score = squared + 1.0 - np.cos(frame.pose[:, 2] - pose[2])
-        return float(arc_length[np.argmin(score)])
+        x, y, heading = self.frame(arc_length).pose.T
+        return arc_length, x.copy(), y.copy(), np.cos(heading), np.sin(heading)
 
     def digest(self) -> str:
         """Return a hash of the path's coefficients: equal digests are equal paths."""
+        return self._digest
+
+    @functools.cached_property
+    def _digest(self) -> str:
         content = hashlib.sha256(self._blocks.tobytes())
         content.update(np.array([self.length, self.closed]).tobytes())
         return content.hexdigest()[:16]
@@ -217,10 +256,7 @@ class Path:
         worst = int(np.argmax(np.abs(speed - 1.0)))
         if abs(speed[worst] - 1.0) > 0.1:
             x, y, _ = self.frame(middles[worst]).pose
-            raise PathError(
-                f"path turns back on itself, or has too sharp a corner, near ({x:.2f}, {y:.2f}): "
-                "smooth it there, or cut it into two paths"
-            )
+            raise TurningBackError(float(x), float(y))
 
 
 class _ArcLength:
@@ -236,8 +272,12 @@ class _ArcLength:
     def _integrate(self, start: FloatArray, stop: FloatArray) -> FloatArray:
         half = 0.5 * (stop - start)
         nodes = (0.5 * (start + stop))[:, None] + half[:, None] * _GAUSS_NODES
-        speed = np.linalg.norm(self._velocity(nodes.ravel()), axis=-1).reshape(nodes.shape)
+        speed = self._speed(nodes.ravel()).reshape(nodes.shape)
         return np.asarray(half * (speed @ _GAUSS_WEIGHTS))
+
+    def _speed(self, parameter: FloatArray) -> FloatArray:
+        velocity = _in_blocks(self._velocity, parameter)
+        return np.hypot(velocity[:, 0], velocity[:, 1])
 
     def parameter(self, arc_length: FloatArray) -> FloatArray:
         """Return the curve's parameter at arc lengths, by Newton's method on each interval."""
@@ -247,15 +287,61 @@ class _ArcLength:
         rest = arc_length - self._lengths[index]
         interval = self._lengths[index + 1] - self._lengths[index]
         parameter = low + (high - low) * rest / interval
-        for _ in range(8):
-            speed = np.linalg.norm(self._velocity(parameter), axis=-1)
+        for _ in range(_NEWTON_STEPS):
+            speed = self._speed(parameter)
             miss = self._integrate(low, parameter) - rest
             parameter = np.clip(parameter - miss / np.maximum(speed, 1e-12), low, high)
+            if np.abs(miss).max() < 1e-9 * float(self._lengths[-1] / len(self._breaks)):
+                break  # the step just made squares that
         return np.asarray(parameter)
 
 
-def _distinct(points: ArrayLike) -> FloatArray:
-    """Return the points as an array (N, 2) without coinciding neighbours.
+def _in_blocks(function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
+    """Return a function of many values (M,), computed some thousands at a time.
+
+    scipy's splines keep every other thread waiting while they are evaluated.
+    """
+    if len(values) <= _BLOCK:
+        return function(values)
+    starts = range(0, len(values), _BLOCK)
+    return np.concatenate([function(values[start : start + _BLOCK]) for start in starts])
+
+
+def chord_spline(points: FloatArray, closed: bool) -> tuple[CubicSpline, FloatArray]:
+    """Return the C2 spline through points (N, 2), and their parameters: the chord lengths, (N,).
+
+    The points of a closed path end with the first one.
+    """
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    parameter = np.concatenate([[0.0], np.cumsum(chords)])
+    ends_condition = "periodic" if closed else "not-a-knot" if len(points) > 3 else "natural"
+    return CubicSpline(parameter, points, bc_type=ends_condition), parameter
+
+
+def joined(points: FloatArray, closed: bool | None) -> tuple[FloatArray, bool]:
+    """Return points (N, 2) that end with the first one if the path is closed, and whether it is.
+
+    Args:
+        points: Without coinciding neighbours.
+        closed: Whether the last joins the first; None asks whether they coincide (1 mm).
+
+    Raises:
+        PathError: A closed path of fewer than three points.
+
+    """
+    meet = len(points) > 2 and math.dist(points[0], points[-1]) <= _CLOSING_GAP
+    if closed is None:
+        closed = meet and len(points) > 3
+    if closed:
+        ends = points[:-1] if meet else points
+        points = np.vstack([ends, ends[:1]])
+        if len(points) < 4:
+            raise PathError("a closed path needs at least 3 distinct points: add points")
+    return points, closed
+
+
+def distinct_points(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
+    """Return the points without coinciding neighbours, shape (N, 2), and the index of each, (N,).
 
     Raises:
         PathError: See `Path.from_points`.
@@ -275,10 +361,10 @@ def _distinct(points: ArrayLike) -> FloatArray:
         raise PathError(f"path point {first} is {array[first].tolist()}, but must be finite")
     if np.abs(array).max(initial=0.0) > 1e8:
         raise PathError("path has a coordinate above 1e8 m: check its units")
-    distinct = np.asarray(array[_moving(array)])
-    if len(distinct) < 2:
-        raise PathError(f"path has {len(distinct)} distinct points, but needs at least 2")
-    return distinct
+    kept = np.flatnonzero(_moving(array))
+    if len(kept) < 2:
+        raise PathError(f"path has {len(kept)} distinct points, but needs at least 2")
+    return np.ascontiguousarray(array[kept]), kept
 
 
 def _moving(points: FloatArray) -> np.ndarray:

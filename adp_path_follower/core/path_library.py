@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os.path
+from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -15,6 +16,8 @@ import numpy as np
 from adp_path_follower.core.errors import FileError, PathError
 from adp_path_follower.core.files import read_csv_columns, read_yaml
 from adp_path_follower.core.path import Path
+from adp_path_follower.core.path_preparation import prepare
+from adp_path_follower.core.settings import PathSettings
 
 PATH_HELP = (
     "lissajous (the paper's figure eight), line, circle:KAPPA (curvature in 1/m, positive to the "
@@ -23,8 +26,13 @@ PATH_HELP = (
 _LINE_LENGTH = 100.0  # [m]
 
 
-def named_path(name: str) -> Path:
+def named_path(name: str, settings: PathSettings | None = None) -> Path:
     """Return the path of this name; see the module's docstring.
+
+    Args:
+        name: Name or file.
+        settings: What the points of a file are prepared with, as the controller does; the defaults
+            if None. A path that turns back is refused here: only the controller drives backwards.
 
     Raises:
         PathError: No such name, or points that make no path.
@@ -38,7 +46,7 @@ def named_path(name: str) -> Path:
     if name.startswith("circle:"):
         return circle(_curvature(name))
     if FilePath(name).suffix.lower() in (".csv", ".yaml", ".yml"):
-        return path_from_file(FilePath(os.path.expanduser(name)))
+        return path_from_file(FilePath(os.path.expanduser(name)), settings)
     raise PathError(f"unknown path '{name}': use {PATH_HELP}")
 
 
@@ -79,8 +87,8 @@ def circle(curvature: float) -> Path:
     )
 
 
-def path_from_file(file: FilePath) -> Path:
-    """Return the path through the points of a CSV or YAML file.
+def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path:
+    """Return the path along the points of a CSV or YAML file.
 
     Raises:
         FileError: The file is missing or of another format.
@@ -103,6 +111,7 @@ def path_from_file(file: FilePath) -> Path:
             raise FileError(f"path file {file} has 'points' that are not [x, y] pairs") from None
         points = points[:, :2] if points.ndim == 2 else points
     try:
-        return Path.from_points(points, closed)
+        forwards = replace(settings or PathSettings(), allow_reversing=False)
+        return prepare(points, forwards, closed=closed).segments[0].path
     except PathError as error:
         raise PathError(f"path file {file}: {error}") from None

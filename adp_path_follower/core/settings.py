@@ -209,6 +209,33 @@ class MotionSettings:
 
 
 @dataclass(frozen=True)
+class PathSettings:
+    """Paths as they come."""
+
+    path_tolerance: float = setting(
+        0.05,
+        "How far the path that is driven may be from the poses given, and from the straight lines "
+        "between them: room to average noise and to round corners. A path that is smooth is "
+        "driven as it is. 0 always drives through the poses. Holds from the next path on.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
+    path_closed: str = setting(
+        "auto",
+        "Whether a path's end joins its beginning: auto asks whether they coincide (1 mm). Holds "
+        "from the next path on.",
+        choices=("auto", "open", "closed"),
+    )
+    allow_reversing: bool = setting(
+        False,
+        "Drive backwards where a path turns back on itself, or where the orientations of its poses "
+        "point against the motion; false refuses such a path. Needs min_linear_vel below 0. Holds "
+        "from the next path on.",
+    )
+
+
+@dataclass(frozen=True)
 class ControllerSettings:
     """Controller node."""
 
@@ -292,4 +319,13 @@ class Settings:
     motion: MotionSettings
     learning: LearningSettings
     policy: PolicySettings
+    path: PathSettings
     controller: ControllerSettings
+
+    def __post_init__(self) -> None:
+        """Refuse to reverse without a speed for it."""
+        if self.path.allow_reversing and self.limits.min_linear_vel >= 0.0:
+            raise SettingsError(
+                "setting 'allow_reversing' is true, but 'min_linear_vel' is 0: set it to the speed "
+                "in reverse, as in -0.3"
+            )

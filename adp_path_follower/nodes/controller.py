@@ -9,18 +9,17 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
-from nav_msgs.msg import Path as PathMessage
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from adp_path_follower import __version__
 from adp_path_follower.bags.configuration import NO_STEP, configuration_text
 from adp_path_follower.core.driver import Driver
-from adp_path_follower.core.errors import PathError, SettingsError
+from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.odometry_check import OdometryCheck
@@ -31,10 +30,10 @@ from adp_path_follower.nodes.conversions import (
     Measurement,
     MessageError,
     measurement_of,
-    path_of,
-    wrong_frame,
 )
 from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
+from adp_path_follower.nodes.path_input import PathInput
+from adp_path_follower.nodes.path_intake import PathAnswer
 from adp_path_follower.nodes.run import Ending, run_node
 from adp_path_follower.nodes.telemetry import Telemetry
 from adp_path_follower.nodes.weights import WeightsFiles
@@ -56,6 +55,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._weights = WeightsFiles(self, self._settings, lambda: self._driver)
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._commands: Commands | None = None
+        self._path: PathInput | None = None
         self._entities: list[tuple[Any, Any]] = []
         self._forget_run()
         if self._settings.controller.autostart:
@@ -65,8 +65,6 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _forget_run(self) -> None:
         """Return to the state before any message."""
         self._driver = Driver(self._settings, self._weights.saved, self.get_logger().warning)
-        self._path_frame = ""
-        self._path_problem = ""
         self._measurement: Measurement | None = None
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
@@ -92,19 +90,19 @@ class PathFollowerNode(Ending, LifecycleNode):
         )
         labels = self._settings.learning.value_basis.labels
         self._telemetry = Telemetry(self, labels, lossless)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         odom = self.create_subscription(
             Odometry, "odom", self._receive_odometry, qos_profile_sensor_data
         )
-        path = self.create_subscription(PathMessage, "path", self._receive_path, latched)
         limit = self.create_subscription(Float64, "speed_limit", self._receive_speed_limit, 1)
+        self._path = PathInput(
+            self, lambda: self._settings.path, self._follow_path, self._refuse_path
+        )
         reset = self.create_service(Trigger, "~/reset_learning", self._reset_learning)
         stop = self.create_service(Trigger, "~/stop", self._stop)
         resume = self.create_service(Trigger, "~/resume", self._resume)
         watchdog = self.create_timer(WATCH_PERIOD, self._watch, clock=self._steady_clock)
         self._entities = [
             (self.destroy_subscription, odom),
-            (self.destroy_subscription, path),
             (self.destroy_subscription, limit),
             *((self.destroy_service, service) for service in (reset, stop, resume)),
             (self.destroy_timer, watchdog),
@@ -155,9 +153,10 @@ class PathFollowerNode(Ending, LifecycleNode):
             destroy(entity)
         self._entities = []
         self._telemetry.destroy(self)
-        if self._commands is not None:
-            self._commands.destroy()
-        self._commands = None
+        for part in (self._path, self._commands):
+            if part is not None:
+                part.destroy()
+        self._path = self._commands = None
 
     # Inputs
 
@@ -184,55 +183,32 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._measurement = measurement
         if self._commands is not None:
             self._commands.frame = measurement.child_frame
-        if self._driver.path is not None and self._path_frame != measurement.frame:
-            self._refuse_path(wrong_frame(self._path_frame, measurement.frame))
-            self._remove_path()
+        assert self._path is not None  # there is no odometry before it is subscribed to
+        self._path.odometry_in(measurement.frame)
         if self._settings.controller.control_trigger == "odometry":
             self._control(measurement.stamp)
 
-    def _remove_path(self) -> None:
-        """Follow nothing any more."""
-        self._driver.follow(None)
-        self._supervisor.path_removed()
-        self._update_status()
+    def _follow_path(self, found: PathAnswer | None) -> None:
+        """Follow another path, or nothing any more."""
+        self._driver.follow(None if found is None else found.route)
+        if found is None or found.route is None:
+            self._supervisor.path_removed()
+            self._update_status()
+        else:
+            self._supervisor.path_received()
+            self.get_logger().info(f"new path: {found.text}")
+            self._telemetry.markers(self._now(), found.followed_frame, found.route, None)
         self._publish_configuration()
 
-    def _receive_path(self, message: PathMessage) -> None:
-        """Take a new path, or refuse it and go on with the present one; an empty one stops."""
-        frame = message.header.frame_id
-        if not message.poses:
-            self._path_problem = ""
-            self._remove_path()
-            return
-        if self._measurement is not None and frame != self._measurement.frame:
-            self._refuse_path(wrong_frame(frame, self._measurement.frame))
-            return
-        try:
-            path = path_of(message)
-        except PathError as error:
-            self._refuse_path(str(error))
-            return
-        self._path_problem = ""
-        if self._driver.path is not None and path.digest() == self._driver.path.digest():
-            return
-        self._driver.follow(path)
-        self._path_frame = frame
-        self._supervisor.path_received()
-        kind = "closed" if path.closed else "open"
-        self.get_logger().info(f"new path: {kind}, {path.length:.2f} m, in frame '{frame}'")
-        self._publish_configuration()
-        self._telemetry.markers(self._now(), frame, path, None)
+    def _refuse_path(self, problem: str) -> None:
+        self.get_logger().error(f"path refused: {problem}")
+        self._publish_diagnostics()
 
     def _receive_speed_limit(self, message: Float64) -> None:
         """Set the parameter speed_limit, so that whoever asks for it sees what holds."""
         (result,) = self.set_parameters([Parameter("speed_limit", value=message.data)])
         if not result.successful:
             self.get_logger().error(f"speed limit refused: {result.reason}")
-
-    def _refuse_path(self, problem: str) -> None:
-        self._path_problem = problem
-        self.get_logger().error(f"path refused: {problem}")
-        self._publish_diagnostics()
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
         """Return what takes over other settings between two steps.
@@ -316,10 +292,13 @@ class PathFollowerNode(Ending, LifecycleNode):
         assert follower is not None  # the step has made it
         if self._telemetry.learning(follower.learning_problem):
             self._publish_diagnostics()
-        self._telemetry.step(time, self._path_frame, pose, output, float(follower.cost))
-        if steady.monotonic() >= self._next_markers:
+        assert self._path is not None  # nor without a path
+        assert self._path.followed is not None
+        frame, route = self._path.followed.followed_frame, self._driver.route
+        self._telemetry.step(time, frame, pose, output, float(follower.cost))
+        if route is not None and steady.monotonic() >= self._next_markers:
             self._next_markers = steady.monotonic() + _MARKER_PERIOD
-            self._telemetry.markers(time, self._path_frame, follower.path, output)
+            self._telemetry.markers(time, frame, route, output)
         if self._driver.at_goal:
             self._supervisor.goal_reached()
         elif follower.goal.problem:
@@ -342,6 +321,8 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _watch(self) -> None:
         """Look after the robot in steady time, whatever the control timer does."""
+        if self._path is not None:
+            self._path.retry()
         clock_time = self._now()
         by_timer = self._settings.controller.control_trigger == "timer"
         self._supervisor.clock_missing(by_timer and clock_time == 0)
@@ -386,22 +367,23 @@ class PathFollowerNode(Ending, LifecycleNode):
             return
         self._next_diagnostics = steady.monotonic() + 1.0
         values = {"version": __version__}
+        problem = "" if self._path is None else self._path.problem
         if self._driver.follower is not None:
             values["arc_length [m]"] = f"{float(self._driver.follower.arc_length):.3f}"
             values["cost"] = f"{float(self._driver.follower.cost):.6g}"
-        self._telemetry.diagnostics(
-            self._now(), self._shown, self._shown_since, self._path_problem, values
-        )
+        self._telemetry.diagnostics(self._now(), self._shown, self._shown_since, problem, values)
 
     def _publish_configuration(self) -> None:
         if self._commands is None:
             return
         driver, after = self._driver, NO_STEP if self._step_time is None else self._step_time
+        path = None if self._path is None else self._path.followed
         self._telemetry.configuration(
             configuration_text(
-                *(driver.settings, driver.path, after),
+                *(driver.settings, driver.route, after),
                 *(driver.learning_resets, driver.restarts, driver.stops),
                 self._weights.digest,
+                () if path is None else path.transform,
             )
         )
 

@@ -11,9 +11,9 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
-from adp_path_follower.core.errors import AdpError, PathError
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, advance_pose, yaw_of_quaternion
-from adp_path_follower.core.path import MAX_POINTS, Path
+from adp_path_follower.core.path import Path
 
 NANOSECONDS = 1_000_000_000
 _LONGEST_PREDICTION = 1.0  # [s]
@@ -134,26 +134,11 @@ def pose_stamped(time: int, frame: str, pose: FloatArray) -> PoseStamped:
     return PoseStamped(header=make_header(time, frame), pose=pose_message(pose))
 
 
-def path_of(message: PathMessage) -> Path:
-    """Return the path through a message's positions.
-
-    Raises:
-        PathError: See `Path.from_points`.
-
-    """
-    if len(message.poses) > MAX_POINTS:
-        raise PathError(
-            f"path has {len(message.poses)} points, but at most {MAX_POINTS} are allowed"
-        )
-    positions = [pose.pose.position for pose in message.poses]
-    return Path.from_points(np.array([[p.x, p.y] for p in positions]).reshape(-1, 2))
-
-
 def wrong_frame(frame: str, odom_frame: str) -> str:
     """Return why a path in a frame cannot be followed."""
     return (
         f"path is in frame '{frame}', but odometry in '{odom_frame}': publish the path in "
-        f"'{odom_frame}'"
+        f"'{odom_frame}', or install tf2_ros"
     )
 
 

@@ -15,7 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
+from adp_path_follower.core.route import Route
 from adp_path_follower.core.supervisor import State, Status
 from adp_path_follower.nodes.conversions import (
     array_message,
@@ -31,6 +31,8 @@ EVERY_STEP = QoSProfile(depth=10)
 LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ALL_CHANGES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+_MARKER_POINTS = 2000  # of a long path: each takes a microsecond or two of the control thread
 
 _LEVELS = {
     State.INACTIVE: DiagnosticStatus.WARN,
@@ -111,14 +113,15 @@ class Telemetry:
             if self._lossless or publisher.get_subscription_count():
                 publisher.publish(make(time, frame, output, cost))
 
-    def markers(self, time: int, frame: str, path: Path, output: FollowerOutput | None) -> None:
+    def markers(self, time: int, frame: str, path: Route, output: FollowerOutput | None) -> None:
         """Publish the path and the virtual target for RViz and Foxglove."""
         if not self._markers.get_subscription_count() and output is not None:
             return
         line = Marker(header=make_header(time, frame), ns="path", type=Marker.LINE_STRIP)
         line.scale.x = 0.03
         line.color = ColorRGBA(r=0.2, g=0.5, b=1.0, a=0.8)
-        line.points = [Point(x=x, y=y) for x, y, _ in path.points(0.1).tolist()]
+        spacing = max(0.1, path.length / _MARKER_POINTS)
+        line.points = [Point(x=x, y=y) for x, y, _ in path.points(spacing).tolist()]
         markers = [line]
         if output is not None:
             target = Marker(header=make_header(time, frame), ns="target", type=Marker.ARROW)

@@ -124,9 +124,11 @@ def write_run(
     pose = np.array([-0.1, -0.1, 0.7])
     for step in range(steps):
         stamp = (step + 1) * _PERIOD
-        # The heading as it comes out of the message, so that a replay is the same to the last bit.
-        half = pose[2] / 2
-        pose[2] = yaw_of_quaternion(0.0, 0.0, np.sin(half), np.cos(half))
+        # The heading as it comes out of the message, so that a replay is the same to the last bit:
+        # one that a quaternion gives back unchanged.
+        for _ in range(5):
+            half = pose[2] / 2
+            pose[2] = yaw_of_quaternion(0.0, 0.0, np.sin(half), np.cos(half))
         covariance = np.full(36, 0.5 + step)
         write(
             *("/odom", stamp, _header(stamp), "base_link"),

@@ -1,7 +1,6 @@
 """Names and files of paths: what is accepted, and how the rest is refused."""
 
 import contextlib
-import math
 
 import numpy as np
 import pytest
@@ -9,8 +8,9 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.errors import AdpError, FileError, PathError
-from adp_path_follower.core.path import Path
 from adp_path_follower.core.path_library import circle, named_path, path_from_file
+from adp_path_follower.core.path_preparation import prepare
+from adp_path_follower.core.settings import PathSettings
 
 POINTS = [[0.0, 0.0], [1.0, 0.5], [2.0, 0.5], [3.0, 0.0]]
 
@@ -100,7 +100,7 @@ def test_any_text_names_a_path_or_is_refused(start, text, end):
 )
 def test_good_files_give_the_path_through_their_points(tmp_path, name, content):
     file = written(tmp_path, name, content)
-    expected = Path.from_points(POINTS).digest()
+    expected = prepare(POINTS, PathSettings()).digest()
     assert path_from_file(file).digest() == expected
     assert named_path(str(file)).digest() == expected
 
@@ -114,8 +114,9 @@ def test_a_file_can_close_its_path(tmp_path):
     np.testing.assert_allclose(
         closed.frame(closed.length).pose[:2], closed.frame(0.0).pose[:2], atol=1e-9
     )
-    # The spline through a square's corners is near the circle through them.
-    assert closed.length == pytest.approx(2.0 * math.pi * math.sqrt(2.0), rel=0.02)
+    # Straight sides, rounded corners.
+    assert closed.length == pytest.approx(8.0, rel=0.04)
+    assert np.abs(closed.curvature(closed.length * (np.arange(4) + 0.5) / 4)).max() < 1e-6
 
 
 def test_a_file_of_the_figure_eight_gives_the_figure_eight(tmp_path, figure_eight):

@@ -1,0 +1,121 @@
+"""The routes that a controller made of the paths in a bag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from adp_path_follower.bags.configuration import Configuration, parse_configuration
+from adp_path_follower.bags.path_message import transformed
+from adp_path_follower.bags.reader import Run
+from adp_path_follower.core.errors import AdpError, FileError, PathError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.path_preparation import prepare
+from adp_path_follower.core.route import Route
+from adp_path_follower.core.settings import PathSettings, Settings
+
+
+class RecordedRoutes:
+    """Finds the route that a configuration names by its digest.
+
+    A route depends on a path, the settings that it was prepared with, and the transform of its
+    frame; all of them are in the bag.
+    """
+
+    def __init__(self, run: Run, fixed: Settings | None) -> None:
+        """Take a run; fixed settings replace those that its routes were prepared with."""
+        self._poses = [poses for _, poses in run.paths]
+        self._fixed = None if fixed is None else fixed.path
+        self._changes = _configurations(run)
+        self._known = _path_settings(self._changes)
+        self._prepared: dict[tuple[int, PathSettings, tuple[float, ...]], Route | None] = {}
+        self._found: dict[tuple[str, tuple[float, ...]], Route] = {}
+
+    def last(self, settings: Settings) -> Route:
+        """Return the route of the last path.
+
+        Raises:
+            PathError: It is none that can be followed.
+
+        """
+        poses = [poses for poses in self._poses if len(poses)]
+        return _route(poses[-1], settings.path, ())
+
+    def single_path(self, number: int) -> Path:
+        """Return a path of the run as it was followed, else as its points have it.
+
+        Raises:
+            PathError: It is none that can be followed, or one of several segments.
+
+        """
+        for change in self._changes:
+            route = self._made(number, change.settings.path, change.transform)
+            if route is None or change.path_digest != route.digest():
+                continue
+            if len(route.segments) > 1 or route.segments[0].reverse:
+                raise PathError("it is driven backwards, or in segments: use adp replay")
+            return route.segments[0].path
+        return Path.from_points(self._poses[number][:, :2])
+
+    def of(self, change: Configuration) -> Route | None:
+        """Return the route that a configuration names, None if it names none.
+
+        Raises:
+            FileError: The bag has not its path.
+
+        """
+        if not change.path_digest:
+            return None
+        key = change.path_digest, change.transform
+        if key not in self._found:
+            number, route = self._search(change)
+            if self._fixed is not None:
+                route = _route(self._poses[number], self._fixed, change.transform)
+            self._found[key] = route
+        return self._found[key]
+
+    def _search(self, change: Configuration) -> tuple[int, Route]:
+        for settings in self._known:
+            for number in range(len(self._poses)):
+                route = self._made(number, settings, change.transform)
+                if route is not None and route.digest() == change.path_digest:
+                    return number, route
+        raise FileError(
+            f"the bag has not the path {change.path_digest} that the controller followed"
+        )
+
+    def _made(
+        self, number: int, settings: PathSettings, transform: tuple[float, ...]
+    ) -> Route | None:
+        """Return the route of a path, None if it was refused."""
+        key = number, settings, transform
+        if key not in self._prepared:
+            try:
+                self._prepared[key] = _route(self._poses[number], settings, transform)
+            except AdpError:
+                self._prepared[key] = None
+        return self._prepared[key]
+
+
+def _route(poses: FloatArray, settings: PathSettings, transform: tuple[float, ...]) -> Route:
+    moved = transformed(poses, transform)
+    return prepare(moved[:, :2], settings, moved[:, 2])
+
+
+def _configurations(run: Run) -> list[Configuration]:
+    """Return the configurations of the run that this version understands."""
+    found = []
+    for _, text in run.configurations:
+        try:
+            change = parse_configuration(text)
+            _ = change.settings
+        except AdpError:
+            continue
+        found.append(change)
+    return found
+
+
+def _path_settings(changes: list[Configuration]) -> list[PathSettings]:
+    """Return all settings of paths in configurations, and those of versions without any."""
+    exact = replace(PathSettings(), path_tolerance=0.0)
+    return list(dict.fromkeys([*(change.settings.path for change in changes), exact]))

@@ -1,0 +1,297 @@
+"""Smooth a polyline within a tolerance: noise averaged, corners rounded, the rest left alone.
+
+The polyline is laid on an even grid and smoothed by kernels of growing width (four box filters in
+a row: close to a Gaussian, of bounded support, and never negative, so straight stays straight and
+nothing overshoots). At each place one of these levels is taken: the first that more smoothing, as
+far as the tolerance permits, would not better. That is the unsmoothed curve where it is fair
+already, and the widest permitted kernel at a corner, because each wider one bends less. Levels
+blend over the width of their kernels, so the curvature stays continuous; and as every level that
+takes part is within the tolerance there, so is the blend.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+
+from adp_path_follower.core.geometry import FloatArray
+
+_BOX_WIDTHS = (3, 5, 7, 11, 15, 21, 29, 41, 57, 79)  # [samples], of each level's four boxes
+_SAMPLES_PER_TOLERANCE = 4
+_LEAST_SAMPLES, _MOST_SAMPLES = 64, 120_000
+_FAIR_RATIO = 1.2  # between curvatures that more smoothing need not even out
+_EXACT_RATIO = 1.5  # likewise, where the alternative is to leave the spline through the points
+_FAIR_DIFFERENCE = 0.1  # [1/m], likewise
+_FAITHFUL = 0.1  # share of the tolerance that the spline may leave a chord by, to be followed
+_TIGHT = 0.2  # curvature times tolerance from which on a bend is worth a second round
+_FIRST_SHARE = 0.5  # of the tolerance, in the first of two rounds
+_MARGIN = 0.97  # of the tolerance: the rest is for the spline between samples
+_CHORD_PLACES = np.array([0.125, 0.3, 0.5, 0.7, 0.875])  # where a chord is compared with the spline
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A curve at even steps of a parameter.
+
+    Attributes:
+        values: Points (M, 2) [m]; those of a closed curve do not repeat the first.
+        step: Between two of them, along the polyline [m].
+        closed: Whether the last one joins the first.
+
+    """
+
+    values: FloatArray
+    step: float
+    closed: bool
+
+    @property
+    def mode(self) -> str:
+        """Return how scipy's filters go on beyond the ends."""
+        return "wrap" if self.closed else "nearest"
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """The C2 spline through points by their chord lengths.
+
+    Attributes:
+        spline: Maps the parameter to points [m].
+        parameter: That of each point, (N,) [m].
+        points: Shape (N, 2) [m]; those of a closed path end with the first.
+        closed: Whether the path is closed.
+
+    """
+
+    spline: CubicSpline
+    parameter: FloatArray
+    points: FloatArray
+    closed: bool
+
+    def places(self, tolerance: float) -> tuple[FloatArray, float]:
+        """Return parameters at even steps, fine enough for a tolerance [m], and the step."""
+        length = float(self.parameter[-1])
+        count = math.ceil(_SAMPLES_PER_TOLERANCE * length / tolerance)
+        count = min(max(count, _LEAST_SAMPLES), _MOST_SAMPLES)
+        step = length / count
+        return np.asarray(np.arange(count + (not self.closed)) * step, dtype=float), step
+
+    def bulges(self) -> FloatArray:
+        """Return how far the spline leaves each chord [m], shape (N - 1,)."""
+        start, chord = self.points[:-1], np.diff(self.points, axis=0)
+        lengths = np.diff(self.parameter)
+        farthest = np.zeros(len(chord))
+        for place in _CHORD_PLACES:
+            offset = _evaluated(self.spline, self.parameter[:-1] + place * lengths) - start
+            share = np.clip((offset * chord).sum(axis=1) / lengths**2, 0.0, 1.0)
+            gap = offset - share[:, None] * chord
+            farthest = np.maximum(farthest, np.hypot(gap[:, 0], gap[:, 1]))
+        return farthest
+
+
+def is_fair(through: Interpolation, tolerance: float) -> bool:
+    """Return whether a spline is near its polyline, and smoothing would hardly straighten it."""
+    if through.bulges().max() > tolerance:
+        return False
+    places, step = through.places(tolerance)
+    along = _evaluated(through.spline, places)
+    budget = np.full(len(places), tolerance)
+    return not _blends(Grid(along, step, through.closed), along, budget, _EXACT_RATIO)
+
+
+def smoothed(through: Interpolation, tolerance: float) -> tuple[FloatArray, float]:
+    """Return a smooth curve within a tolerance [m] of points, and of their polyline.
+
+    Returns:
+        Points of the curve, dense, shape (M, 2); those of a closed one end with the first. The
+        distance between them along the curve [m].
+
+    """
+    points, parameter, closed = through.points, through.parameter, through.closed
+    places, step = through.places(tolerance)
+    bulge = through.bulges()
+    chord = np.clip(np.searchsorted(parameter, places, side="right") - 1, 0, len(bulge) - 1)
+    faithful = (bulge <= _FAITHFUL * tolerance)[chord]
+    straight = np.stack([np.interp(places, parameter, points[:, axis]) for axis in (0, 1)], axis=1)
+    anchor = np.where(faithful[:, None], _evaluated(through.spline, places), straight)
+    limit = _MARGIN * tolerance - np.where(faithful, bulge[chord], 0.0)
+    budget = limit - _beside(anchor, places, points, parameter)
+    grid = Grid(anchor, step, closed)
+    once = _round(grid, anchor, _FIRST_SHARE * budget)
+    if _bend(once).max() * tolerance < _TIGHT:
+        return _ended(_round(grid, anchor, budget))
+    # Kernels over the polyline's length pinch a sharp corner; over that of a curve which cuts it
+    # already, they hardly do.
+    again, place = _even(once)
+    anchor = _interpolated(anchor, place, closed)
+    limit = _interpolated(limit[:, None], place, closed)[:, 0]
+    budget = limit - _beside(anchor, step * place, points, parameter)
+    return _ended(_round(again, anchor, budget))
+
+
+def _round(grid: Grid, anchor: FloatArray, budget: FloatArray) -> Grid:
+    """Return the grid's curve smoothed, within a budget (M,) [m] of the anchor (M, 2)."""
+    curve = grid.values
+    for change, weight in _blends(grid, anchor, budget):
+        curve = curve + weight[:, None] * change
+    return Grid(curve, grid.step, grid.closed)
+
+
+def _ended(grid: Grid) -> tuple[FloatArray, float]:
+    """Return the points of a grid, those of a closed curve with the first at the end, and step."""
+    repeated = grid.values[: 1 if grid.closed else 0]
+    return np.vstack([grid.values, repeated]), grid.step
+
+
+def _even(grid: Grid) -> tuple[Grid, FloatArray]:
+    """Return a curve at even steps of its own length, and the place of each in samples, (M,)."""
+    points, _ = _ended(grid)
+    lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    count = len(grid.values)
+    step = float(lengths[-1]) / (count if grid.closed else count - 1)
+    place = np.interp(np.arange(count) * step, lengths, np.arange(len(points), dtype=float))
+    # Cubic between the samples: a chord's corners would be bends.
+    spline = CubicSpline(
+        np.arange(len(points)), points, bc_type="periodic" if grid.closed else "not-a-knot"
+    )
+    return Grid(_evaluated(spline, place), step, grid.closed), place
+
+
+def _interpolated(values: FloatArray, place: FloatArray, closed: bool) -> FloatArray:
+    """Return values (M, K) at places between the samples (M,)."""
+    whole = np.vstack([values, values[:1]]) if closed else values
+    index = np.arange(len(whole))
+    return np.stack([np.interp(place, index, column) for column in whole.T], axis=1)
+
+
+def _evaluated(spline: CubicSpline, places: FloatArray, block: int = 8192) -> FloatArray:
+    starts = range(0, len(places), block)
+    return np.concatenate([spline(places[start : start + block]) for start in starts])
+
+
+def _beside(
+    samples: FloatArray, places: FloatArray, points: FloatArray, parameter: FloatArray
+) -> FloatArray:
+    """Return how far points are from the polyline of samples, at the samples beside them, (M,).
+
+    Args:
+        samples: Shape (M, 2) [m].
+        places: Where they are along the polyline of the points, increasing, (M,) [m].
+        points: Shape (N, 2) [m]; those of a closed path end with the first.
+        parameter: Where they are, (N,) [m].
+
+    """
+    count = len(samples)
+    before = np.clip(np.searchsorted(places, parameter, side="right") - 1, 0, count - 1)
+    after = (before + 1) % count  # beyond the last sample a closed path goes on with the first
+    ends = np.append(places, max(parameter[-1], places[-1]))
+    share = (parameter - places[before]) / np.maximum(ends[before + 1] - places[before], 1e-12)
+    nearby = samples[before] + share[:, None] * (samples[after] - samples[before])
+    gap = np.hypot(*(nearby - points).T)
+    found = np.zeros(count)
+    np.maximum.at(found, before, gap)
+    np.maximum.at(found, after, gap)
+    return found
+
+
+def _blends(
+    grid: Grid, anchor: FloatArray, budget: FloatArray, fair_ratio: float = _FAIR_RATIO
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Choose the level of smoothing at each place, within a budget of distance (M,) [m].
+
+    Returns:
+        What each level changes of the one before (M, 2), and with which weight (M,); nothing where
+        the curve is fair as it is.
+
+    """
+    curves, shares = _levels(grid, anchor, budget)
+    bends = [_bend(Grid(curve, grid.step, grid.closed)) for curve in curves]
+    wanted = _wanted(bends, shares, grid.mode, fair_ratio)
+    blends = []
+    for level in range(1, len(curves)):
+        width = _BOX_WIDTHS[level - 1]
+        if not wanted[level].any():
+            break
+        zone = np.where(_dilated(wanted[level], 6 * width, grid.mode), shares[level], 0.0)
+        core = minimum_filter1d(zone, min(4 * width + 1, len(zone)), mode=grid.mode)
+        weight = _four_boxes(core, width, grid.mode)
+        blends.append((curves[level] - curves[level - 1], weight))
+    return blends
+
+
+def _levels(
+    grid: Grid, anchor: FloatArray, budget: FloatArray
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return the curve of each level (M, 2), the first unsmoothed, and the share that it may have.
+
+    The share (M,) is that of its step from the level before: 1 where it keeps to the budget within
+    the kernel's reach, less where only a part of the step does.
+    """
+    values, mode = grid.values, grid.mode
+    curves, shares = [values], [np.ones(len(values))]
+    moved = np.hypot(*(values - anchor).T)
+    for width in _BOX_WIDTHS:
+        reach = 2 * (width - 1)
+        if reach >= len(values) - 1:
+            break
+        kind = {"mode": "wrap"} if grid.closed else {"mode": "reflect", "reflect_type": "odd"}
+        padded = np.pad(values, ((reach, reach), (0, 0)), **kind)  # type: ignore[call-overload]
+        curve = _four_boxes(padded, width, "nearest")[reach:-reach]
+        before, moved = moved, np.hypot(*(curve - anchor).T)
+        beyond = moved > budget
+        share = (shares[-1] == 1.0).astype(float)
+        if beyond.any():
+            part = np.clip(budget[beyond] - before[beyond], 0.0, None)
+            share[beyond] *= part / np.maximum(moved[beyond] - before[beyond], 1e-12).clip(part)
+            share = minimum_filter1d(share, min(2 * reach + 1, len(share)), mode=mode)
+        if not share.any():
+            break
+        curves.append(curve)
+        shares.append(share)
+    return curves, shares
+
+
+def _wanted(
+    bends: list[FloatArray], shares: list[FloatArray], mode: str, fair_ratio: float
+) -> list[np.ndarray]:
+    """Return for each level where it, or a higher one, is better than those below, (M,) each."""
+    count = len(bends)
+    wanted = [np.zeros(len(bends[0]), dtype=bool) for _ in range(count)]
+    best = np.full(len(bends[0]), np.inf)  # curvature of the higher levels, where permitted
+    higher = np.zeros(len(bends[0]), dtype=bool)
+    for level in range(count - 1, 0, -1):
+        around = maximum_filter1d(
+            bends[level], min(4 * _BOX_WIDTHS[level - 1] - 3, len(best)), mode=mode
+        )
+        best = np.where(shares[level] > 0.0, np.minimum(best, around), best)
+        higher = higher | (bends[level - 1] > fair_ratio * best + _FAIR_DIFFERENCE)
+        wanted[level] = higher
+    return wanted
+
+
+def _bend(grid: Grid) -> FloatArray:
+    """Return the curvature of a grid's curve, without sign [1/m], shape (M,)."""
+    curve = grid.values
+    if grid.closed:
+        around = np.vstack([curve[-1:], curve, curve[:1]])
+    else:
+        around = np.vstack([2.0 * curve[0] - curve[1], curve, 2.0 * curve[-1] - curve[-2]])
+    second = around[2:] - 2.0 * around[1:-1] + around[:-2]
+    return np.hypot(second[:, 0], second[:, 1]) / grid.step**2
+
+
+def _four_boxes(values: FloatArray, width: int, mode: str) -> FloatArray:
+    for _ in range(4):
+        values = uniform_filter1d(values, width, axis=0, mode=mode)
+    return values
+
+
+def _dilated(mask: np.ndarray, reach: int, mode: str) -> np.ndarray:
+    """Return where the mask holds, or does within a reach [samples]."""
+    if not mask.any():
+        return mask
+    size = min(2 * reach + 1, len(mask))
+    return np.asarray(maximum_filter1d(mask.astype(np.uint8), size, mode=mode) > 0)

@@ -1,0 +1,96 @@
+"""The topic `path`: what comes in is prepared aside, then taken over, refused, or removed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from nav_msgs.msg import Path as PathMessage
+from rclpy.node import Node
+
+from adp_path_follower.bags.path_message import is_empty
+from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.nodes.frames import frame_transform
+from adp_path_follower.nodes.path_intake import PathAnswer, PathIntake, PathRequest
+from adp_path_follower.nodes.telemetry import LATCHED
+
+
+class PathInput:
+    """Keeps what path is followed, and why the last one is not.
+
+    Attributes:
+        followed: What is followed, None without a path.
+        problem: Why the last path was refused, empty if it was not.
+
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        settings: Callable[[], PathSettings],
+        follow: Callable[[PathAnswer | None], None],
+        refuse: Callable[[str], None],
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            node: The controller.
+            settings: Returns what to prepare paths with.
+            follow: Called to follow another path, or none.
+            refuse: Called with a sentence where a path cannot be followed.
+
+        """
+        self.followed: PathAnswer | None = None
+        self.problem = ""
+        self._node, self._settings = node, settings
+        self._follow, self._refuse = follow, refuse
+        self._odom_frame = ""
+        self._fitted = node.create_guard_condition(self._take)
+        self._intake = PathIntake(frame_transform(node), self._fitted.trigger)
+        self._subscription: Any = node.create_subscription(
+            PathMessage, "path", self._receive, LATCHED, raw=True
+        )
+
+    def destroy(self) -> None:
+        """End the thread, and destroy what was created."""
+        self._intake.close()
+        self._node.destroy_guard_condition(self._fitted)
+        self._node.destroy_subscription(self._subscription)
+
+    def odometry_in(self, frame: str) -> None:
+        """Note the odometry's frame; where it has changed, the path is needed in the new one."""
+        self._odom_frame = frame
+        if self.followed is not None and self.followed.followed_frame != frame:
+            self._intake.submit(replace(self.followed.request, odom_frame=frame))
+            self._change(None)
+
+    def retry(self) -> None:
+        """Ask again, now and then, for a path whose transform was not known."""
+        self._intake.retry()
+
+    def _change(self, found: PathAnswer | None) -> None:
+        self.followed = found
+        self._follow(found)
+
+    def _receive(self, raw: bytes) -> None:
+        """Let a path be prepared; an empty one stops at once."""
+        if is_empty(raw):
+            self._intake.cancel()
+            self.problem = ""
+            self._change(None)
+        else:
+            self._intake.submit(PathRequest(raw, self._settings(), self._odom_frame))
+
+    def _take(self) -> None:
+        """Take over a path that has been prepared, or refuse it and go on with the present one."""
+        found = self._intake.take(self._settings(), self._odom_frame)
+        if found is None:
+            return
+        self.problem = found.problem
+        if found.route is None:
+            self._refuse(found.problem)
+            return
+        present = None if self.followed is None else self.followed.route
+        if present is None or found.route.digest() != present.digest():
+            self._change(found)

@@ -1,0 +1,187 @@
+"""Paths come in: read, transformed and fitted in a thread of their own.
+
+The control thread only hands over bytes and takes back a finished route, so a path of a hundred
+thousand poses delays no control step. A newer path supersedes an older one that is in the works.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from adp_path_follower.bags.cdr import CdrError
+from adp_path_follower.bags.path_message import read_path, transformed
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.path_preparation import prepare
+from adp_path_follower.core.route import Route
+from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.nodes.conversions import wrong_frame
+from adp_path_follower.nodes.frames import FrameError, FrameTransform
+
+# [s] after which Python's interpreter hands over to a waiting thread; 5 ms by default, half a
+# control period at 100 Hz.
+_SWITCH_INTERVAL = 0.0005
+_RETRY_PERIOD = 1.0  # [s], steady
+
+
+@dataclass(frozen=True)
+class PathRequest:
+    """A path to be read.
+
+    Attributes:
+        raw: A serialised nav_msgs/Path.
+        settings: What to prepare it with.
+        odom_frame: Frame that it is needed in, empty while that is not known.
+
+    """
+
+    raw: bytes = field(repr=False)
+    settings: PathSettings
+    odom_frame: str
+
+
+@dataclass(frozen=True)
+class PathAnswer:
+    """What became of a path.
+
+    Attributes:
+        request: What was asked.
+        frame: Frame of the message.
+        route: The route in the odometry's frame; None if it was refused.
+        transform: x [m], y [m], turn [rad] of the message's frame in the odometry's, empty if they
+            are the same.
+        problem: Why it was refused, empty if it was not.
+        may_come: Whether a transform that is not known yet may still come.
+
+    """
+
+    request: PathRequest
+    frame: str
+    route: Route | None = None
+    transform: tuple[float, ...] = ()
+    problem: str = ""
+    may_come: bool = False
+
+    @property
+    def followed_frame(self) -> str:
+        """Return the frame of the route."""
+        return self.request.odom_frame if self.transform else self.frame
+
+    @property
+    def text(self) -> str:
+        """Return what the route is, in words."""
+        if self.route is None:
+            return self.problem
+        backwards = sum(segment.reverse for segment in self.route.segments)
+        parts = ["closed" if self.route.closed else "open", f"{self.route.length:.2f} m"]
+        if backwards or len(self.route.segments) > 1:
+            parts.append(f"{len(self.route.segments)} segments, {backwards} of them in reverse")
+        return f"{', '.join(parts)}, in frame '{self.followed_frame}'"
+
+
+def answer(request: PathRequest, frames: FrameTransform | None) -> PathAnswer:
+    """Return the route of a path, ready to be driven, or why there is none."""
+    try:
+        message = read_path(request.raw)
+    except CdrError as error:
+        return PathAnswer(request, "", problem=f"path cannot be read: {error}")
+    transform: tuple[float, ...] = ()
+    try:
+        if request.odom_frame and message.frame != request.odom_frame:
+            if frames is None:
+                raise AdpError(wrong_frame(message.frame, request.odom_frame))
+            transform = frames.planar(request.odom_frame, message.frame)
+        poses = transformed(message.poses, transform)
+        route = prepare(poses[:, :2], request.settings, poses[:, 2])
+    except AdpError as error:
+        may_come = isinstance(error, FrameError)
+        return PathAnswer(request, message.frame, problem=str(error), may_come=may_come)
+    route.make_ready()
+    return PathAnswer(request, message.frame, route, transform)
+
+
+class PathIntake:
+    """Answers the latest request in a thread."""
+
+    def __init__(self, frames: FrameTransform | None, ready: Callable[[], None]) -> None:
+        """Start the thread.
+
+        Args:
+            frames: Knows where frames are, None without tf2.
+            ready: Called in the thread when there is an answer to `take`.
+
+        """
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+        self._frames, self._ready = frames, ready
+        self._changed = threading.Condition()
+        self._request: PathRequest | None = None
+        self._answer: PathAnswer | None = None
+        self._pending: PathRequest | None = None  # waits for its transform
+        self._next_try = 0.0
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def submit(self, request: PathRequest) -> None:
+        """Ask for a route; what was asked before is dropped."""
+        with self._changed:
+            self._request, self._answer, self._pending = request, None, None
+            self._changed.notify()
+
+    def cancel(self) -> None:
+        """Drop what was asked."""
+        with self._changed:
+            self._request = self._answer = self._pending = None
+
+    def take(self, settings: PathSettings, odom_frame: str) -> PathAnswer | None:
+        """Return the answer to the latest request, once; None if there is none yet.
+
+        Where settings or frame have changed since it was asked, it is asked again.
+        """
+        with self._changed:
+            found, self._answer = self._answer, None
+        if found is None:
+            return None
+        wanted = PathRequest(found.request.raw, settings, odom_frame)
+        frame = odom_frame or found.frame
+        if settings != found.request.settings or frame != (found.request.odom_frame or found.frame):
+            self.submit(wanted)
+            return None
+        self._pending = wanted if found.may_come else None
+        self._next_try = time.monotonic() + _RETRY_PERIOD
+        return found
+
+    def retry(self) -> None:
+        """Ask again, now and then, for a path whose transform was not known."""
+        if self._pending is not None and time.monotonic() >= self._next_try:
+            pending, self._pending = self._pending, None
+            self.submit(pending)
+
+    def close(self) -> None:
+        """End the thread, after what it is at."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _work(self) -> None:
+        done: PathRequest | None = None
+        while True:
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._closed or self._request not in (None, done)  # noqa: B023
+                )
+                if self._closed:
+                    return
+                request = self._request
+            assert request is not None  # it was waited for
+            found = answer(request, self._frames)
+            with self._changed:
+                done = request
+                if self._request is not request or self._closed:
+                    continue
+                self._answer = found
+            self._ready()
