@@ -83,7 +83,7 @@ class Commands:
     def last_words(self) -> None:
         """Publish zero velocity three times, and on, not for long, until it was delivered.
 
-        Waiting alone would not do: DDS asks only every 3 s what was lost, unless more is sent.
+        Waiting alone may not do: Fast DDS by itself asks only every 3 s what was lost.
         """
         for count in range(1, _MOST_LAST_WORDS + 1):
             self._send_zero()
