@@ -101,7 +101,11 @@ class ArcLengthLearner:
         self.reset()
 
     def reset(self, where: np.ndarray | None = None) -> None:
-        """Return to the initial weights; of a batch, whose weights are shared, only as a whole."""
+        """Return to the initial weights; of a batch, whose weights are shared, only as a whole.
+
+        Robots of a batch where (...) is true are lost: nothing is learned where they are.
+        """
+        self._lost = where
         if where is not None:
             return
         self._owner = np.full(len(self._critic), np.iinfo(np.int64).min)
@@ -178,6 +182,8 @@ class ArcLengthLearner:
             knot = math.floor(place.item())
             return knot, knot + 1
         known = np.isfinite(arc_length)
+        if self._lost is not None:
+            known = known & ~self._lost
         place = place[known] if known.any() else np.zeros(1)
         together = place[np.abs(place - np.median(place)) <= _MOST_SPREAD]
         return math.floor(together.min()), math.floor(together.max()) + 1

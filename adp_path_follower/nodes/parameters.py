@@ -14,7 +14,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from adp_path_follower.core.errors import AdpError, SettingsError
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.parameter_file import own_parameters
 from adp_path_follower.core.schema import (
     SettingField,
@@ -79,9 +79,10 @@ class LiveSettings(Generic[Tree]):
         node.add_post_set_parameters_callback(self._take_over)
 
     def _typed(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Return the parameters with integers as numbers where the setting is one.
+        """Return the parameters with integers and texts as numbers where the setting is one.
 
-        So a dump of the node's parameters has the same types as its parameter file.
+        So a dump of the node's parameters has the same types as its parameter file; and
+        `ros2 param load` of such a dump works, which sends .inf and 1.0e-06 as texts.
         """
         return [self._as_numbers(parameter) for parameter in parameters]
 
@@ -89,10 +90,14 @@ class LiveSettings(Generic[Tree]):
         field = self._fields.get(parameter.name)
         if field is None or float not in (field.kind, field.item_kind):
             return parameter
+        value: Any = parameter.value
         try:
-            if parameter.type_ in (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY):
-                return Parameter(parameter.name, value=_ros_value(checked(field, parameter.value)))
-        except SettingsError:  # it is refused in a moment, with all others
+            if parameter.type_ is Parameter.Type.STRING and field.kind is float:
+                value = float(value)
+            elif parameter.type_ not in (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY):
+                return parameter
+            return Parameter(parameter.name, value=_ros_value(checked(field, value)))
+        except ValueError:  # it is refused in a moment, with all others
             pass
         return parameter
 

@@ -318,6 +318,9 @@ def test_integers_for_numbers_are_numbers(node):
     assert node.change({"max_linear_vel": 2, "state_cost": [1, 2, 3]})[0].successful
     assert node.get_parameter("max_linear_vel").type_ is Parameter.Type.DOUBLE
     assert node.get_parameter("state_cost").type_ is Parameter.Type.DOUBLE_ARRAY
+    assert node.change({"max_cross_track_error": "inf", "target_gain": "1e-06"})[0].successful
+    assert node.get_parameter("target_gain").value == 1e-6
+    assert not node.change({"max_cross_track_error": "nan"})[0].successful
     assert not node.change({"desired_speed": "fast"})[0].successful
     described = node.describe_parameter("desired_speed")
     assert described.type == Parameter.Type.DOUBLE.value
