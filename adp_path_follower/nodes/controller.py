@@ -206,9 +206,13 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _receive_speed_limit(self, message: Float64) -> None:
         """Set the parameter speed_limit, so that whoever asks for it sees what holds."""
-        (result,) = self.set_parameters([Parameter("speed_limit", value=message.data)])
-        if not result.successful:
-            self.get_logger().error(f"speed limit refused: {result.reason}")
+        limit = Parameter("speed_limit", value=message.data)
+        try:
+            changed_settings(self._settings, [limit])  # whose sentence is better than ROS's own
+        except SettingsError as error:
+            self.get_logger().error(f"speed limit refused: {error}")
+            return
+        self.set_parameters([limit])
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
         """Return what takes over other settings between two steps.

@@ -84,9 +84,9 @@ class DelayLine:
         self.robot.step(self._waiting.popleft(), 0.01)
 
 
-def drive(delay, known, path=EIGHT, seconds=8.0, **values):
+def drive(delay, known, path=EIGHT, seconds=20.0, **values):
     """Return the error of the true robot to the target's path over the last half, (N, 3)."""
-    tuning = build(Settings, {"actuation_delay": known, **values})
+    tuning = build(Settings, {"actuation_delay": known, "learning": False, **values})
     follower = PathFollower(tuning, path, 12.0)
     start = pose_in_frame(np.array([-0.2, 0.15, -0.3]), path.frame(12.0).pose)
     plant, errors = DelayLine(start, delay), []
