@@ -22,14 +22,13 @@ import numpy as np
 
 from adp_path_follower.core.bellman import BellmanErrors
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.knot_memory import KnotMemory
 from adp_path_follower.core.knot_model import KnotFit, KnotModel, NormalEquations, fit
 from adp_path_follower.core.learner import (
     LearnedWeights,
     Learner,
     LocalWeights,
-    Weights,
     follow,
-    initial_weights,
     relax,
 )
 from adp_path_follower.core.path import Path
@@ -37,15 +36,9 @@ from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile
 
-_MOST_KNOTS = 8192  # that are remembered: 5 MB for each of critic and actor
 _MOST_SPREAD = 500  # knots between robots of a batch that learn together
-_FARTHEST = 1e12  # knots
 _MOST_RESIDUAL = 0.5  # of the running cost: a critic that explains less is refused
 _LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular matrix
-_SAME_CURVATURE = 1e-3  # [1/m], and relative: a path that differs less is the same
-_SAME_SPEED = 1e-3  # relative
-_SAME_LENGTH = 1e-4  # relative
-_CURVATURE_NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvature
 MODEL_SETTINGS = (  # that decide what is learned
     "basis",
     "basis_degree",
@@ -79,25 +72,14 @@ class ArcLengthLearner:
         """Start from the initial weights of the settings everywhere."""
         learning = settings.learning
         self._settings, self._learning, self._path = settings, learning, path
-        self._riccati = riccati
         self._profile = profile if profile is not None else SpeedProfile(path, settings)
         self._size = len(learning.value_basis.labels)
         # Of the actor's projection: it never comes between the robot and its safe policy.
         safe = learning.value_basis.quadratic_weights(riccati.table)
         self._bound = max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
-        count = max(1, math.ceil(path.length / learning.knot_spacing))
-        self._spacing = path.length / count if path.closed else learning.knot_spacing
+        self._memory = KnotMemory(settings, path, riccati, self._profile)
+        self._spacing, self._window = self._memory.spacing, self._memory.window
         self._model = KnotModel(settings, self._spacing, self._profile.varies)
-        self._window = max(2, round(learning.preview_distance / self._spacing))
-        # An open path goes on straight beyond its ends, for one preview. The knots of a closed one
-        # that fits into the memory come round again; of a longer one every lap has its own.
-        self._ends = None if path.closed else (-self._window, count + 1 + self._window)
-        self._lap = count if path.closed and count <= _MOST_KNOTS else None
-        capacity = min(_MOST_KNOTS, count if path.closed else count + 2 + 2 * self._window)
-        self._critic = np.zeros((capacity, self._size))
-        self._actor = np.zeros((capacity, self._size))
-        self._curvatures = np.zeros(capacity)
-        self._speeds = np.zeros(capacity)
         self.reset()
 
     def reset(self, where: np.ndarray | None = None) -> None:
@@ -108,7 +90,7 @@ class ArcLengthLearner:
         self._lost = where
         if where is not None:
             return
-        self._owner = np.full(len(self._critic), np.iinfo(np.int64).min)
+        self._memory.reset()
         self._reach = 0  # of the next sweep, growing to the window: where the robot is comes first
         self._enough = len(self._model)  # samples for a knot
         self._restart()
@@ -129,23 +111,7 @@ class ArcLengthLearner:
 
     def local(self, arc_length: FloatArray) -> LocalWeights:
         """Return the weights at arc lengths [m] of any shape, and their slope along the path."""
-        position = self._position(arc_length)
-        knot = np.floor(position)
-        share = (position - knot)[..., None]
-        slots = self._slots(np.add.outer((0, 1), knot.astype(np.int64)))
-        (critic, critic_ahead), (actor, actor_ahead) = self._critic[slots], self._actor[slots]
-        critic_step = critic_ahead - critic
-        actor = actor + share * (actor_ahead - actor)
-        critic = critic + share * critic_step
-        slope = critic_step / self._spacing
-        if not (np.isfinite(actor).all() and np.isfinite(critic).all()):
-            sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
-            speed = self._profile.model_speed(arc_length)
-            safe = self._safe(self._path.curvature(arc_length), speed)
-            sound = sound[..., None]
-            critic, actor = np.where(sound, critic, safe), np.where(sound, actor, safe)
-            slope = np.where(sound, slope, 0.0)
-        return LocalWeights(Weights(critic, actor), slope)
+        return self._memory.local(arc_length)
 
     def learn(self, measured: BellmanErrors, arc_length: FloatArray, dt: float) -> None:
         """Let the actor follow for dt [s], and work off some samples of the knot whose turn it is.
@@ -177,7 +143,7 @@ class ArcLengthLearner:
 
         Robots far from most, such as one that is lost, are left to the initial weights.
         """
-        place = self._position(arc_length)
+        place = self._memory.position(arc_length)
         if place.size == 1:
             knot = math.floor(place.item())
             return knot, knot + 1
@@ -187,11 +153,6 @@ class ArcLengthLearner:
         place = place[known] if known.any() else np.zeros(1)
         together = place[np.abs(place - np.median(place)) <= _MOST_SPREAD]
         return math.floor(together.min()), math.floor(together.max()) + 1
-
-    def _position(self, arc_length: FloatArray) -> FloatArray:
-        """Return arc lengths in knot spacings, same shape, within what integers can count."""
-        place = np.where(np.isnan(arc_length), 0.0, arc_length)[()] / self._spacing
-        return np.minimum(np.maximum(place, -_FARTHEST), _FARTHEST)
 
     def settle(
         self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
@@ -208,13 +169,14 @@ class ArcLengthLearner:
         near -= self._window
         far = robots + math.ceil(distance / self._spacing) + self._window
         # All that the memory holds; round a lap, one preview more, which comes to lie under it.
-        far = min(far, near + len(self._critic) + (0 if self._lap is None else self._window))
-        slots = self._slots(np.arange(near, far))
+        comes_round = self._memory.lap is not None
+        far = min(far, near + len(self._memory.critic) + (self._window if comes_round else 0))
+        slots = self._memory.slots(np.arange(near, far))
         self._enough = len(self._model)
         self._begin(near, far)
         while self._knot is not None:
             self._work(len(self._model), math.inf)
-        self._actor[slots] = self._critic[slots]
+        self._memory.actor[slots] = self._memory.critic[slots]
         self._reach = self._window
         return not self.problem
 
@@ -231,30 +193,11 @@ class ArcLengthLearner:
             getattr(old.learning, name) != getattr(new.learning, name) for name in MODEL_SETTINGS
         ):
             return
-        self._critic, self._actor = previous._critic, previous._actor
-        self._curvatures, self._speeds = previous._curvatures, previous._speeds
-        self._owner, self._reach = previous._owner, previous._reach
+        self._memory, self._reach = previous._memory, previous._reach
 
     def learned(self) -> LearnedWeights:
         """Return the weights at the knots where something was learned."""
-        known = self._owner != np.iinfo(np.int64).min
-        sound = np.isfinite(self._critic).all(axis=1) & np.isfinite(self._actor).all(axis=1)
-        slots = np.flatnonzero(known & sound)
-        knots = self._owner[slots]
-        if self._path.closed:  # every lap begins anew
-            knots = knots % max(1, round(self._path.length / self._spacing))
-        order = np.argsort(knots)
-        slots = slots[order]
-        return LearnedWeights(
-            length=self._path.length,
-            closed=self._path.closed,
-            reach=self._reach,
-            knots=knots[order],
-            curvature=self._curvatures[slots],
-            speed=self._speeds[slots],
-            critic=self._critic[slots],
-            actor=self._actor[slots],
-        )
+        return self._memory.learned(self._reach)
 
     def start_from(self, learned: LearnedWeights) -> str:
         """Go on from the weights of a run on a path of the same curvature, wherever it lay.
@@ -263,43 +206,25 @@ class ArcLengthLearner:
             Why this path is another one, empty if it is not.
 
         """
-        path, knots = self._path, learned.knots
-        if learned.closed != path.closed or not math.isclose(
-            learned.length, path.length, rel_tol=_SAME_LENGTH
-        ):
-            kinds = {True: "a closed", False: "an open"}
-            return (
-                f"they were learned along {kinds[learned.closed]} path of {learned.length:.2f} m, "
-                f"and this is {kinds[path.closed]} one of {path.length:.2f} m"
-            )
-        if not np.allclose(
-            self._curvature(knots), learned.curvature, rtol=_SAME_CURVATURE, atol=_SAME_CURVATURE
-        ):
-            return "they were learned along a path that bends elsewhere than this one"
-        if not np.allclose(self._speed(knots), learned.speed, rtol=_SAME_SPEED):
-            return "they were learned at other speeds along the path than its profile has now"
-        slots = knots % len(self._owner)
-        if len(np.unique(slots)) < len(knots):
-            return "they hold more places of the path than are remembered"
-        self._owner[slots] = knots
-        self._curvatures[slots], self._speeds[slots] = learned.curvature, learned.speed
-        self._critic[slots], self._actor[slots] = learned.critic, learned.actor
-        self._reach = min(learned.reach, self._window)
-        return ""
+        problem = self._memory.start_from(learned)
+        if not problem:
+            self._reach = min(learned.reach, self._window)
+        return problem
 
     def _begin(self, near: int, far: int) -> None:
         """Begin a sweep from the Riccati solution at knot `far` down to knot `near`."""
         self._near, self._length, self._refused = near, far - near, 0
         end = np.array([far])
-        self._ahead = self._safe(self._curvature(end), self._speed(end))[0]
+        self._ahead = self._memory.safe(self._memory.curvature(end), self._memory.speed(end))[0]
         self._take(far - 1)
 
     def _take(self, knot: int) -> None:
         """Turn to a knot."""
         self._knot = knot
-        self._slot = int(self._slots(np.array([knot]))[0])
-        self._knot_curvature = float(self._curvatures[self._slot])
-        self._knot_speed = float(self._speeds[self._slot]) if self._profile.varies else None
+        memory = self._memory
+        self._slot = int(memory.slots(np.array([knot]))[0])
+        self._knot_curvature = float(memory.curvatures[self._slot])
+        self._knot_speed = float(memory.speeds[self._slot]) if self._profile.varies else None
         self._done, self._time = 0, 0.0
         self._equations: NormalEquations | None = None
 
@@ -323,24 +248,25 @@ class ArcLengthLearner:
 
     def _finish(self, equations: NormalEquations) -> None:
         """Take over the critic of the present knot, or the Riccati solution in its place."""
+        memory = self._memory
         self._latest = fit(equations)
         refusal = self._refusal(self._latest)
         if refusal:
             self._refused += 1
             self.problem = refusal
             speed = None if self._knot_speed is None else np.array([self._knot_speed])
-            safe = self._safe(np.array([self._knot_curvature]), speed)[0]
-            self._critic[self._slot] = self._actor[self._slot] = self._ahead = safe
+            safe = memory.safe(np.array([self._knot_curvature]), speed)[0]
+            memory.critic[self._slot] = memory.actor[self._slot] = self._ahead = safe
             return
         critic = self._latest.critic_weights
         if self._learning.critic == "gradient":
             critic = self._descended(equations)
-        self._critic[self._slot] = self._ahead = critic
+        memory.critic[self._slot] = self._ahead = critic
 
     def _descended(self, equations: NormalEquations) -> FloatArray:
         """Return the critic after the gradient law, over the time since the knot's last turn."""
         gain = self._learning.critic_gain_sampled / len(self._model)
-        critic = self._critic[self._slot]
+        critic = self._memory.critic[self._slot]
         descent = gain * (equations.matrix @ critic + equations.vector)
         elapsed = min(self._time * self._length, 1e3)
         return np.asarray(critic - relax(gain * equations.matrix, descent, elapsed))
@@ -362,49 +288,13 @@ class ArcLengthLearner:
 
     def _follow(self, near: int, far: int, dt: float) -> None:
         """Let the actor follow the critic at the knots from `near` up to `far`."""
-        slots = self._slots(np.arange(near, far))
-        actor, critic = self._actor[slots], self._critic[slots]
+        memory = self._memory
+        slots = memory.slots(np.arange(near, far))
+        actor, critic = memory.actor[slots], memory.critic[slots]
         if not (np.isfinite(actor).all() and np.isfinite(critic).all()):
-            sound = np.isfinite(actor).all(axis=-1) & np.isfinite(critic).all(axis=-1)
             self.problem = "weights are not finite"
             self._refused += 1
-            self._owner[slots[~sound]] = np.iinfo(np.int64).min
-            self._slots(np.arange(near, far))
+            memory.renew(np.arange(near, far))
             self._restart()
             return
-        self._actor[slots] = follow(actor, critic, self._learning.actor_gain, self._bound, dt)
-
-    def _slots(self, knots: np.ndarray) -> np.ndarray:
-        """Return where knots of any shape are stored, with initial weights if they are new."""
-        if self._lap is not None:
-            slots = number = knots % self._lap
-        else:
-            number = knots
-            if self._ends is not None:
-                number = np.minimum(np.maximum(knots, self._ends[0]), self._ends[1])
-            slots = number % len(self._owner)
-        new = self._owner[slots] != number
-        if new.any():
-            numbers = np.unique(number[new])
-            places = numbers % len(self._owner)
-            curvature, speed = self._curvature(numbers), self._speed(numbers)
-            weights = initial_weights(self._learning, self._riccati, curvature, speed)
-            self._critic[places], self._actor[places] = weights.critic, weights.actor
-            self._curvatures[places], self._speeds[places] = curvature, speed
-            self._owner[places] = numbers
-        return np.asarray(slots)
-
-    def _curvature(self, knots: np.ndarray) -> FloatArray:
-        """Return the mean curvature [1/m] about each knot, shape (K,)."""
-        arc_length = (knots[:, None] + _CURVATURE_NODES) * self._spacing
-        return np.asarray(self._path.curvature(arc_length).mean(axis=1))
-
-    def _speed(self, knots: np.ndarray) -> FloatArray:
-        """Return the mean speed [m/s] about each knot, as models take it, shape (K,)."""
-        arc_length = (knots[:, None] + _CURVATURE_NODES) * self._spacing
-        return np.asarray(self._profile.model_speed(arc_length).mean(axis=1))
-
-    def _safe(self, curvature: FloatArray, speed: FloatArray | None) -> FloatArray:
-        """Return the Riccati solution's weights at curvatures and speeds (...), shape (..., L)."""
-        basis = self._learning.value_basis
-        return basis.quadratic_weights(self._riccati.matrix(curvature, speed))
+        memory.actor[slots] = follow(actor, critic, self._learning.actor_gain, self._bound, dt)

@@ -175,7 +175,7 @@ def test_without_the_cause_learning_goes_on(cause):
     settled = ArcLengthLearner(
         build(Settings, {}),
         EIGHT,
-        drive.follower._learner._riccati,  # of the same problem
+        drive.follower._learner._memory._riccati,  # of the same problem
     )
     assert settled.settle(UNUSED, drive.follower.arc_length, 2.0)
     expected = settled.local(drive.follower.arc_length).weights.critic
@@ -223,7 +223,7 @@ def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
     drive.steps(60)
     assert follower.learning_problem == ""
     drive.steps(340)
-    settled = ArcLengthLearner(follower.settings, EIGHT, follower._learner._riccati)
+    settled = ArcLengthLearner(follower.settings, EIGHT, follower._learner._memory._riccati)
     assert settled.settle(UNUSED, follower.arc_length, 2.0)
     target = settled.local(follower.arc_length).weights.critic
     np.testing.assert_allclose(follower.weights.actor, target, atol=0.03 * np.abs(target).max())
@@ -232,7 +232,7 @@ def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
 def test_without_learning_weights_that_are_not_finite_are_replaced_as_well():
     drive = Drive({**SMALL, "learning": False})
     drive.steps(3)
-    drive.follower._learner._critic[:] = math.nan
+    drive.follower._learner._memory.critic[:] = math.nan
     output = drive.steps(3)
     assert output.weights.actor.tolist() == riccati_weights(drive.follower).tolist()
 
@@ -244,7 +244,7 @@ def test_only_the_robot_whose_weights_are_not_finite_has_the_riccati_policy():
     learner.settle(UNUSED, places, 1.0)
     before = learner.local(places)
     slot = int(40.0 / (EIGHT.length / 655))
-    learner._actor[slot] = math.nan
+    learner._memory.actor[slot] = math.nan
     after = learner.local(places)
     assert after.weights.actor[0].tolist() == before.weights.actor[0].tolist()
     matrix = RiccatiSchedule(EIGHT, tuning.target, tuning.cost).matrix(EIGHT.curvature(40.0))

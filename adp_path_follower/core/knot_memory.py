@@ -1,0 +1,189 @@
+"""The weights at the knots of a path, as far as they are remembered."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learner import (
+    LearnedWeights,
+    LocalWeights,
+    Weights,
+    initial_weights,
+)
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.riccati import RiccatiSchedule
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SpeedProfile
+
+_MOST_KNOTS = 8192  # that are remembered: 5 MB for each of critic and actor
+_FARTHEST = 1e12  # knots
+_NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvature and speed
+_SAME_LENGTH = 1e-4  # relative, and ...
+_SAME_CURVATURE = 1e-3  # ... [1/m], and relative: a path that differs less is the same
+_SAME_SPEED = 1e-3  # relative
+_NOBODY = np.iinfo(np.int64).min
+
+
+class KnotMemory:
+    """Critic and actor weights at knots a distance h apart, numbered along the path.
+
+    Of an open path that goes on straight beyond its ends, for one preview; the knots of a closed
+    one that fits into the memory come round again, of a longer one every lap has its own.
+
+    Attributes:
+        spacing: h [m].
+        window: Number of knots of the preview.
+        lap: Number of knots of a lap, if they come round again, else None.
+        critic: Critic weights by slot, shape (slots, L).
+        actor: Actor weights likewise.
+        curvatures: kappa [1/m] at each slot's knot.
+        speeds: v_des [m/s] there, as models take it.
+
+    """
+
+    def __init__(
+        self, settings: Settings, path: Path, riccati: RiccatiSchedule, profile: SpeedProfile
+    ) -> None:
+        """Lay the knots along a path."""
+        learning = settings.learning
+        self._learning, self._path, self._riccati = learning, path, riccati
+        self._profile = profile
+        count = max(1, math.ceil(path.length / learning.knot_spacing))
+        self.spacing = path.length / count if path.closed else learning.knot_spacing
+        self.window = max(2, round(learning.preview_distance / self.spacing))
+        self._ends = None if path.closed else (-self.window, count + 1 + self.window)
+        self.lap = count if path.closed and count <= _MOST_KNOTS else None
+        capacity = min(_MOST_KNOTS, count if path.closed else count + 2 + 2 * self.window)
+        size = len(learning.value_basis.labels)
+        self.critic = np.zeros((capacity, size))
+        self.actor = np.zeros((capacity, size))
+        self.curvatures = np.zeros(capacity)
+        self.speeds = np.zeros(capacity)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the initial weights everywhere."""
+        self._owner = np.full(len(self.critic), _NOBODY)  # the knot that each slot holds
+
+    def slots(self, knots: np.ndarray) -> np.ndarray:
+        """Return where knots of any shape are stored, with initial weights if they are new."""
+        if self.lap is not None:
+            slots = number = knots % self.lap
+        else:
+            number = knots
+            if self._ends is not None:
+                number = np.minimum(np.maximum(knots, self._ends[0]), self._ends[1])
+            slots = number % len(self._owner)
+        new = self._owner[slots] != number
+        if new.any():
+            numbers = np.unique(number[new])
+            places = numbers % len(self._owner)
+            curvature, speed = self.curvature(numbers), self.speed(numbers)
+            weights = initial_weights(self._learning, self._riccati, curvature, speed)
+            self.critic[places], self.actor[places] = weights.critic, weights.actor
+            self.curvatures[places], self.speeds[places] = curvature, speed
+            self._owner[places] = numbers
+        return np.asarray(slots)
+
+    def renew(self, knots: np.ndarray) -> None:
+        """Return to the initial weights at those of the knots (K,) whose are not finite."""
+        slots = self.slots(knots)
+        self._owner[slots[~self._sound(self.critic[slots], self.actor[slots])]] = _NOBODY
+        self.slots(knots)
+
+    def position(self, arc_length: FloatArray) -> FloatArray:
+        """Return arc lengths in knot spacings, same shape, within what integers can count."""
+        place = np.where(np.isnan(arc_length), 0.0, arc_length)[()] / self.spacing
+        return np.minimum(np.maximum(place, -_FARTHEST), _FARTHEST)
+
+    def local(self, arc_length: FloatArray) -> LocalWeights:
+        """Return the weights at arc lengths [m] of any shape, and their slope along the path."""
+        position = self.position(arc_length)
+        knot = np.floor(position)
+        share = (position - knot)[..., None]
+        slots = self.slots(np.add.outer((0, 1), knot.astype(np.int64)))
+        (critic, critic_ahead), (actor, actor_ahead) = self.critic[slots], self.actor[slots]
+        critic_step = critic_ahead - critic
+        actor = actor + share * (actor_ahead - actor)
+        critic = critic + share * critic_step
+        slope = critic_step / self.spacing
+        if not (np.isfinite(actor).all() and np.isfinite(critic).all()):
+            sound = self._sound(critic, actor)[..., None]
+            speed = self._profile.model_speed(arc_length)
+            safe = self.safe(self._path.curvature(arc_length), speed)
+            critic, actor = np.where(sound, critic, safe), np.where(sound, actor, safe)
+            slope = np.where(sound, slope, 0.0)
+        return LocalWeights(Weights(critic, actor), slope)
+
+    def curvature(self, knots: np.ndarray) -> FloatArray:
+        """Return the mean curvature [1/m] about each knot, shape (K,)."""
+        arc_length = (knots[:, None] + _NODES) * self.spacing
+        return np.asarray(self._path.curvature(arc_length).mean(axis=1))
+
+    def speed(self, knots: np.ndarray) -> FloatArray:
+        """Return the mean speed [m/s] about each knot, as models take it, shape (K,)."""
+        arc_length = (knots[:, None] + _NODES) * self.spacing
+        return np.asarray(self._profile.model_speed(arc_length).mean(axis=1))
+
+    def safe(self, curvature: FloatArray, speed: FloatArray | None) -> FloatArray:
+        """Return the Riccati solution's weights at curvatures and speeds (...), shape (..., L)."""
+        basis = self._learning.value_basis
+        return basis.quadratic_weights(self._riccati.matrix(curvature, speed))
+
+    def learned(self, reach: int) -> LearnedWeights:
+        """Return the weights at the knots where something was learned; reach is a sweep's."""
+        known = (self._owner != _NOBODY) & self._sound(self.critic, self.actor)
+        slots = np.flatnonzero(known)
+        knots = self._owner[slots]
+        if self._path.closed:  # every lap begins anew
+            knots = knots % max(1, round(self._path.length / self.spacing))
+        order = np.argsort(knots)
+        slots = slots[order]
+        return LearnedWeights(
+            length=self._path.length,
+            closed=self._path.closed,
+            reach=reach,
+            knots=knots[order],
+            curvature=self.curvatures[slots],
+            speed=self.speeds[slots],
+            critic=self.critic[slots],
+            actor=self.actor[slots],
+        )
+
+    def start_from(self, learned: LearnedWeights) -> str:
+        """Take the weights of a run on a path of the same curvature, wherever it lay.
+
+        Returns:
+            Why this path is another one, empty if it is not.
+
+        """
+        path, knots = self._path, learned.knots
+        if learned.closed != path.closed or not math.isclose(
+            learned.length, path.length, rel_tol=_SAME_LENGTH
+        ):
+            kinds = {True: "a closed", False: "an open"}
+            return (
+                f"they were learned along {kinds[learned.closed]} path of {learned.length:.2f} m, "
+                f"and this is {kinds[path.closed]} one of {path.length:.2f} m"
+            )
+        if not np.allclose(
+            self.curvature(knots), learned.curvature, rtol=_SAME_CURVATURE, atol=_SAME_CURVATURE
+        ):
+            return "they were learned along a path that bends elsewhere than this one"
+        if not np.allclose(self.speed(knots), learned.speed, rtol=_SAME_SPEED):
+            return "they were learned at other speeds along the path than its profile has now"
+        slots = knots % len(self._owner)
+        if len(np.unique(slots)) < len(knots):
+            return "they hold more places of the path than are remembered"
+        self._owner[slots] = knots
+        self.curvatures[slots], self.speeds[slots] = learned.curvature, learned.speed
+        self.critic[slots], self.actor[slots] = learned.critic, learned.actor
+        return ""
+
+    @staticmethod
+    def _sound(critic: FloatArray, actor: FloatArray) -> np.ndarray:
+        """Return which weights (..., L) are finite, shape (...)."""
+        return np.asarray(np.isfinite(critic).all(axis=-1) & np.isfinite(actor).all(axis=-1))
