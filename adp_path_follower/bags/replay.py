@@ -199,7 +199,7 @@ class RecordedDriver:
 
     def __init__(self, run: Run, settings: Settings | None) -> None:
         """Take the paths and the changes of parameters; settings replace the recorded ones."""
-        if not len(run.path_points):
+        if not any(len(poses) for _, poses in run.paths):
             raise FileError("the bag has no path: nothing to replay")
         self._fixed = settings
         self._routes = RecordedRoutes(run, settings)

@@ -15,7 +15,8 @@ import numpy as np
 
 from adp_path_follower.core.errors import FileError, PathError
 from adp_path_follower.core.files import read_csv_columns, read_yaml
-from adp_path_follower.core.path import Path
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path, distinct_points, joined
 from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.settings import PathSettings
 
@@ -45,7 +46,7 @@ def named_path(name: str, settings: PathSettings | None = None) -> Path:
         return Path.from_points([[0.0, 0.0], [_LINE_LENGTH, 0.0]], closed=False)
     if name.startswith("circle:"):
         return circle(_curvature(name))
-    if FilePath(name).suffix.lower() in (".csv", ".yaml", ".yml"):
+    if _is_file(name):
         return path_from_file(FilePath(os.path.expanduser(name)), settings)
     raise PathError(f"unknown path '{name}': use {PATH_HELP}")
 
@@ -95,23 +96,53 @@ def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path
         PathError: Its points make no path.
 
     """
-    closed: bool | None = None
-    if file.suffix.lower() == ".csv":
-        points = read_csv_columns(file, ("x", "y"))
-    else:
-        content = read_yaml(file)
-        if not isinstance(content, dict) or "points" not in content:
-            raise FileError(f"path file {file} has no 'points: [[x, y], ...]'")
-        closed = content.get("closed")
-        if closed is not None and not isinstance(closed, bool):
-            raise FileError(f"path file {file} has 'closed: {closed}', but must be true or false")
-        try:
-            points = np.asarray(content["points"], dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise FileError(f"path file {file} has 'points' that are not [x, y] pairs") from None
-        points = points[:, :2] if points.ndim == 2 else points
+    points, closed = _points_in(file)
     try:
         forwards = replace(settings or PathSettings(), allow_reversing=False)
         return prepare(points, forwards, closed=closed).segments[0].path
     except PathError as error:
         raise PathError(f"path file {file}: {error}") from None
+
+
+def named_points(name: str, spacing: float) -> FloatArray:
+    """Return poses to publish for a name: x, y, heading, shape (N, 3).
+
+    Those of a built-in path are at most `spacing` [m] apart. Those of a file are its points,
+    without headings (NaN): whoever follows them rounds their corners.
+
+    Raises:
+        PathError: No such name, or points that make no path.
+        FileError: A file that is missing or of another format.
+
+    """
+    if not _is_file(name):
+        return named_path(name).points(spacing)
+    file = FilePath(os.path.expanduser(name))
+    points, closed = _points_in(file)
+    try:
+        distinct, _ = distinct_points(points)
+        distinct, _ = joined(distinct, closed)
+    except PathError as error:
+        raise PathError(f"path file {file}: {error}") from None
+    return np.column_stack([distinct, np.full(len(distinct), np.nan)])
+
+
+def _is_file(name: str) -> bool:
+    return FilePath(name).suffix.lower() in (".csv", ".yaml", ".yml")
+
+
+def _points_in(file: FilePath) -> tuple[FloatArray, bool | None]:
+    """Return the points of a file, and whether it says that the path is closed."""
+    if file.suffix.lower() == ".csv":
+        return read_csv_columns(file, ("x", "y")), None
+    content = read_yaml(file)
+    if not isinstance(content, dict) or "points" not in content:
+        raise FileError(f"path file {file} has no 'points: [[x, y], ...]'")
+    closed = content.get("closed")
+    if closed is not None and not isinstance(closed, bool):
+        raise FileError(f"path file {file} has 'closed: {closed}', but must be true or false")
+    try:
+        points = np.asarray(content["points"], dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise FileError(f"path file {file} has 'points' that are not [x, y] pairs") from None
+    return points[:, :2] if points.ndim == 2 else points, closed

@@ -29,6 +29,7 @@ from adp_path_follower.core.settings import PathSettings
 from adp_path_follower.core.smoothing import Interpolation, is_fair, smoothed
 
 _CUSP = math.cos(math.radians(135.0))  # of the turn from which on the motion is cut
+_SHORT = 1.5  # times the tolerance: a chord that may hide the tip of a cusp
 _DECIDED = 0.5  # cosine between orientation and motion from which on it says forwards, or backwards
 _SAID = {"auto": None, "open": False, "closed": True}
 
@@ -147,7 +148,7 @@ def _cut_route(poses: _Poses, said: bool | None, settings: PathSettings) -> Rout
     tolerance = settings.path_tolerance
     _, closed = joined(poses.points, said)
     kept = _thinned(poses.points, tolerance)
-    cusps = _cusps(poses.points[kept])
+    cusps = _cusps(poses.points[kept], tolerance)
     directions = _directions(poses, kept, cusps)
     changes = np.flatnonzero(np.diff(directions) != 0) + 1
     if closed and said is None and len(kept) > 3:
@@ -204,9 +205,23 @@ def _cosines(chords: FloatArray) -> FloatArray:
     return np.asarray((chords[:-1] * chords[1:]).sum(axis=1) / (lengths[:-1] * lengths[1:]))
 
 
-def _cusps(points: FloatArray) -> np.ndarray:
-    """Return at which of the points (K, 2) the motion turns back."""
-    return np.flatnonzero(_cosines(np.diff(points, axis=0)) < _CUSP) + 1
+def _cusps(points: FloatArray, tolerance: float) -> np.ndarray:
+    """Return at which of the thinned points (K, 2) the motion turns back.
+
+    Also where it does so by two turns in a row, of which the tip between has been thinned out.
+    """
+    chords = np.diff(points, axis=0)
+    at_once = np.append(_cosines(chords) < _CUSP, False)
+    in_two = np.zeros(len(at_once), dtype=bool)
+    if len(chords) > 2:
+        short = np.hypot(*chords[1:-1].T) < _SHORT * tolerance
+        lengths = np.maximum(np.hypot(*chords.T), 1e-12)
+        along = (chords[:-2] * chords[2:]).sum(axis=1) / (lengths[:-2] * lengths[2:])
+        in_two[:-2] = short & (along < _CUSP)
+    for number in np.flatnonzero(in_two).tolist():
+        if not at_once[max(number - 1, 0) : number + 2].any():
+            at_once[number] = True
+    return np.flatnonzero(at_once) + 1
 
 
 def _directions(poses: _Poses, kept: np.ndarray, cusps: np.ndarray) -> np.ndarray:
@@ -241,11 +256,12 @@ def _directions(poses: _Poses, kept: np.ndarray, cusps: np.ndarray) -> np.ndarra
 
 def _tip(points: FloatArray, kept: np.ndarray, cut: int) -> int:
     """Return the number of the point where the motion turns back, near a kept one."""
-    before, here, after = points[kept[cut - 1]], points[kept[cut]], points[kept[cut + 1]]
+    beyond = kept[min(cut + 2, len(kept) - 1)]
+    before, here, after = points[kept[cut - 1]], points[kept[cut]], points[beyond]
     outward = (here - before) / math.dist(here, before) - (after - here) / math.dist(after, here)
     if math.hypot(*outward) < 1.0:  # it does not: the orientations have changed
         return int(kept[cut])
-    near = points[kept[cut - 1] + 1 : kept[cut + 1]]
+    near = points[kept[cut - 1] + 1 : beyond]
     return int(kept[cut - 1]) + 1 + int(np.argmax((near - here) @ outward))
 
 

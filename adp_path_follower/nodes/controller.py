@@ -23,6 +23,7 @@ from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.odometry_check import OdometryCheck
+from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State, Status, Supervisor, deviation
 from adp_path_follower.nodes.commands import WATCH_PERIOD, Commands
@@ -206,13 +207,12 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _receive_speed_limit(self, message: Float64) -> None:
         """Set the parameter speed_limit, so that whoever asks for it sees what holds."""
-        limit = Parameter("speed_limit", value=message.data)
         try:
-            changed_settings(self._settings, [limit])  # whose sentence is better than ROS's own
+            update(self._settings, {"speed_limit": message.data})  # says it better than ROS does
         except SettingsError as error:
             self.get_logger().error(f"speed limit refused: {error}")
             return
-        self.set_parameters([limit])
+        self.set_parameters([Parameter("speed_limit", value=message.data)])
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
         """Return what takes over other settings between two steps.

@@ -144,8 +144,14 @@ def wrong_frame(frame: str, odom_frame: str) -> str:
 
 def path_message(path: Path, frame: str, time: int, spacing: float) -> PathMessage:
     """Return a path as poses at most `spacing` [m] apart, headed along it."""
+    return poses_message(path.points(spacing), frame, time)
+
+
+def poses_message(poses: FloatArray, frame: str, time: int) -> PathMessage:
+    """Return poses (N, 3) as a path; those without heading (NaN) get the identity."""
     message = PathMessage(header=make_header(time, frame))
-    message.poses = [pose_stamped(time, frame, pose) for pose in path.points(spacing)]
+    headed = np.column_stack([poses[:, :2], np.nan_to_num(poses[:, 2])])
+    message.poses = [pose_stamped(time, frame, pose) for pose in headed]
     return message
 
 

@@ -171,9 +171,8 @@ class PathIntake:
         done: PathRequest | None = None
         while True:
             with self._changed:
-                self._changed.wait_for(
-                    lambda: self._closed or self._request not in (None, done)  # noqa: B023
-                )
+                while not self._closed and (self._request is None or self._request is done):
+                    self._changed.wait()
                 if self._closed:
                     return
                 request = self._request

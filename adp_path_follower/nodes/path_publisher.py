@@ -9,9 +9,9 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from adp_path_follower.core.path_library import PATH_HELP, named_path
+from adp_path_follower.core.path_library import PATH_HELP, named_points
 from adp_path_follower.core.schema import setting
-from adp_path_follower.nodes.conversions import path_message
+from adp_path_follower.nodes.conversions import poses_message
 from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
 from adp_path_follower.nodes.run import Ending, run_node
 
@@ -25,7 +25,11 @@ class PublishedPathSettings:
     path: str = setting("lissajous", f"Path to publish: {PATH_HELP}.")
     frame_id: str = setting("odom", "Frame of the path.")
     spacing: float = setting(
-        0.05, "Largest distance between two poses.", unit="m", low=0.001, high=10.0
+        0.05,
+        "Largest distance between two poses of a built-in path; files are published as they are.",
+        unit="m",
+        low=0.001,
+        high=10.0,
     )
 
 
@@ -51,9 +55,8 @@ class PathPublisherNode(Ending, Node):
 
     def _message(self, settings: PathPublisherSettings) -> PathMessage:
         published = settings.path_publisher
-        path = named_path(published.path)
-        time = self.get_clock().now().nanoseconds
-        return path_message(path, published.frame_id, time, published.spacing)
+        poses = named_points(published.path, published.spacing)
+        return poses_message(poses, published.frame_id, self.get_clock().now().nanoseconds)
 
     def _publish(self, settings: PathPublisherSettings, message: PathMessage) -> None:
         self._publisher.publish(message)

@@ -8,7 +8,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.errors import AdpError, FileError, PathError
-from adp_path_follower.core.path_library import circle, named_path, path_from_file
+from adp_path_follower.core.path_library import circle, named_path, named_points, path_from_file
 from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.settings import PathSettings
 
@@ -200,3 +200,13 @@ def test_a_folder_is_no_path_file(tmp_path, name):
     with pytest.raises(FileError, match="directory") as caught:
         path_from_file(tmp_path / name)
     assert name in str(caught.value)
+
+
+def test_files_are_published_as_they_are(tmp_path):
+    square = "points: [[0, 0], [2, 0], [2, 2], [2, 2], [0, 2]]\nclosed: true\n"
+    poses = named_points(str(written(tmp_path, "square.yaml", square)), 0.05)
+    assert poses[:, :2].tolist() == [[0, 0], [2, 0], [2, 2], [0, 2], [0, 0]]
+    assert np.isnan(poses[:, 2]).all()
+    assert len(named_points("circle:1", 0.05)) > 100
+    with pytest.raises(PathError, match="1 distinct"):
+        named_points(str(written(tmp_path, "one.csv", "x,y\n1,1\n")), 0.05)
