@@ -33,7 +33,7 @@ LEARNERS = {"arc_length": SMALL, "path_state": {**ONE_SET, "samples_per_axis": [
 
 def drive(driver, path, steps=60, pose=(0.02, 0.2, 0.5), time=0):
     """Drive an ideal robot; return its commands and weights, and where it ends."""
-    if driver.path is None:
+    if driver.route is None:
         driver.follow(path)
     pose, told = np.array(pose, float), []
     for step in range(steps):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 from adp_path_follower.core.path_library import named_path
@@ -44,10 +46,13 @@ LINE = path_message(named_path("line"), "odom", 0, 0.1)
 class Spied(PathFollowerNode):
     """The controller node, whose callbacks the test calls and whose commands are looked at."""
 
+    answered = None
+
     def begin(self, **parameters):
         """Forget what was, and begin a run with these parameters."""
         values = {**flatten(self._settings), **parameters}
         self._forget_run()
+        self._path._receive(serialize_message(PathMessage()))
         self._supervisor.active = True
         self.commands = []
         self._commands.send = self.sent
@@ -76,8 +81,18 @@ class Spied(PathFollowerNode):
         if isinstance(message, Odometry):
             self._receive_odometry(message)
         else:
-            self._receive_path(message)
+            self._path._receive(serialize_message(message))
+        self._take_path()
         self._watch()
+
+    def _take_path(self):
+        """Take what the other thread has made of a path."""
+        intake = self._path._intake
+        while intake._request not in (None, self.answered):
+            self.answered = intake._request
+            while intake._answer is None:
+                time.sleep(0.0005)
+            self._path._take()
 
     @property
     def state(self):
