@@ -1,7 +1,9 @@
 """Paths come in: read, transformed and fitted in a thread of their own.
 
-The control thread only hands over bytes and takes back a finished route, so a path of a hundred
-thousand poses delays no control step. A newer path supersedes an older one that is in the works.
+The control thread only hands over bytes and takes back a finished route. Both threads share one
+interpreter, so a path of a hundred thousand poses still makes some control steps wait for tens of
+milliseconds (`bench/paths.py`), instead of a second. A newer path supersedes an older one that is
+in the works.
 """
 
 from __future__ import annotations

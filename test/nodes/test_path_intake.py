@@ -175,7 +175,7 @@ def test_a_transform_that_comes_late_is_asked_for_again():
 
 WITH_FRAMES = """
 import sys
-from adp_path_follower.nodes import controller
+from adp_path_follower.nodes import controller, path_input
 
 
 class Known:
@@ -183,7 +183,7 @@ class Known:
         return (0.2, -0.1, 0.3)
 
 
-controller.frame_transform = lambda node: Known()
+path_input.frame_transform = lambda node: Known()
 sys.exit(controller.main())
 """
 
