@@ -29,9 +29,9 @@ _SWITCH_INTERVAL = 0.0005
 _RETRY_PERIOD = 1.0  # [s], steady
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PathRequest:
-    """A path to be read.
+    """A path to be read; the same path that comes again is another request.
 
     Attributes:
         raw: A serialised nav_msgs/Path.

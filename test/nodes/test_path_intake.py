@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -148,6 +149,21 @@ def test_the_latest_path_counts_and_settings_that_change_ask_again():
         intake.submit(request_of(LINE))
         intake.cancel()
         assert not ready.wait(0.3) or intake.take(PathSettings(), "odom") is None
+    finally:
+        intake.close()
+
+
+def test_the_same_path_again_is_answered_again():
+    ready = threading.Event()
+    intake = PathIntake(None, ready.set)
+    try:
+        for _ in range(3):
+            ready.clear()
+            intake.submit(request_of(LINE))
+            assert ready.wait(30.0)
+            assert intake.take(PathSettings(), "odom").route is not None
+            time.sleep(0.05)  # the thread waits again
+            intake.cancel()
     finally:
         intake.close()
 
