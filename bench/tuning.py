@@ -124,7 +124,9 @@ def actuation_delay() -> Figure:
 
 def lateral_acceleration() -> Figure:
     """Show how the robot brakes before a bend."""
-    figure, speed, felt = _pair("through the first bend of the figure eight", "what the robot feels")
+    figure, speed, felt = _pair(
+        "through the first bend of the figure eight", "what the robot feels"
+    )
     for color, most in zip(COLORS, (np.inf, 0.2, 0.1), strict=False):
         limits = {} if np.isinf(most) else {"max_linear_accel": 0.5, "max_linear_decel": 0.5}
         found = run("lissajous", (0.0, 0.0, 0.0), 50.0, max_lateral_accel=most, **limits)
