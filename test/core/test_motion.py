@@ -14,6 +14,7 @@ from adp_path_follower.core.geometry import advance_pose
 from adp_path_follower.core.knot_model import KnotModel
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.path_library import circle, lissajous
+from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.riccati import RiccatiSchedule, riccati_solution
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
@@ -74,6 +75,20 @@ def test_the_square_is_driven_within_six_centimetres(radius):
     assert rates[:, 0].max() <= 1.0 + 1e-9
     assert rates[:, 1].max() <= 3.2 + 1e-9
     assert np.abs(commands[:, 1]).max() <= 1.8
+
+
+@pytest.mark.parametrize("limits", [{}, LIMITS], ids=["default", "accelerations"])
+def test_a_square_given_by_its_corners_is_driven_within_six_centimetres(limits):
+    """Its corners are rounded within the path tolerance of 5 cm; 1 cm is left for the robot."""
+    corners = np.array([[0.0, 0.0], [SIDE, 0.0], [SIDE, SIDE], [0.0, SIDE], [0.0, 0.0]])
+    values = {**limits, "max_angular_vel": 1.8}
+    (segment,) = prepare(corners, build(Settings, values).path).segments
+    _, poses, commands, _ = drive(segment.path, (0.5, 0.0, 0.0), 32.0, values)
+    assert distance_to_the_sharp_square(poses[:, :2]).max() <= 0.06
+    for corner in corners[1:4]:
+        assert np.hypot(*(poses[:, :2] - corner).T).min() <= 0.06
+    assert np.abs(commands[:, 1]).max() <= 1.8
+    assert commands[:, 0].max() == pytest.approx(0.5, abs=0.01)
 
 
 def test_an_open_path_ends_in_standing_within_the_tolerances():
