@@ -197,7 +197,7 @@ def test_however_small_the_bound_the_riccati_policy_is_exempt_from_it():
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of the difference of two infinities
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-@pytest.mark.parametrize("array", ["_critic", "_actor"])
+@pytest.mark.parametrize("array", ["critic", "actor"])
 @pytest.mark.parametrize("everywhere", [True, False])
 @pytest.mark.parametrize("critic", ["least_squares", "gradient"])
 def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
@@ -207,7 +207,7 @@ def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
     drive = Drive(values)
     drive.steps(150)
     follower = drive.follower
-    stored = getattr(follower._learner, array)
+    stored = getattr(follower._learner._memory, array)
     if everywhere:
         stored[:] = bad
     else:
