@@ -331,9 +331,12 @@ def _recorded(commands: Series | None, steps: Steps, replayed: FloatArray) -> Fl
     if commands is None:
         return found
     if not np.array_equal(commands.stamp, commands.arrival):
-        stamps, first = np.unique(commands.stamp, return_index=True)
+        # The zero velocities of a stop can have the stamp of the step before or after them.
+        stops = ~commands.values.any(axis=1)
+        order = np.lexsort((stops, commands.stamp))
+        stamps, first = np.unique(commands.stamp[order], return_index=True)
         _, in_steps, in_commands = np.intersect1d(steps.stamp, stamps, return_indices=True)
-        found[in_steps] = commands.values[first[in_commands]]
+        found[in_steps] = commands.values[order[first[in_commands]]]
         return found
     # Without stamps: of those that arrived about then, the one that comes nearest. A recorder that
     # joins late gets the poses from before, all at once, but not the commands.
