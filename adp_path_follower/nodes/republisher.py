@@ -27,7 +27,7 @@ _PATIENCE = 30.0  # [s] for a controller to appear
 _NANOSECONDS = 1_000_000_000
 _CLOCK_PERIOD = 10_000_000  # [ns] between two messages on /clock, at most
 _DELIVERY_TIMEOUT = 1.0  # [s]
-_SETTLING = 10.0  # [s] for both sides to find each other
+_SETTLING = 5.0  # [s] for both sides to find each other
 
 _TYPES = {"odom": Odometry, "path": PathMessage}
 
