@@ -2,9 +2,10 @@
 
     python bench/paths.py [--poses 100000]
 
-A thread prepares a path of many poses from the bytes of its message, as the controller does, while
-another does a control step every 10 ms. Shown are the time of the preparation, and how late the
-latest of those steps ended against the same steps with nothing beside them.
+A path of many poses is prepared from the bytes of its message in a process of its own, as the
+controller does, or in a thread, while another thread does a control step every 10 ms. Shown are the
+time of the preparation, how late the latest of those steps ended against the same steps with
+nothing beside them, and how long the first step on the new path takes.
 """
 
 from __future__ import annotations
@@ -12,21 +13,20 @@ from __future__ import annotations
 import argparse
 import math
 import struct
-import sys
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 
-from adp_path_follower.bags.path_message import read_path
 from adp_path_follower.core.driver import Driver
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.path_preparation import prepare
+from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings, Settings
+from adp_path_follower.nodes.path_fitting import Fit, FittingProcess, route_of_message
 
 _PERIOD = 0.01  # [s]
-_SWITCH_INTERVAL = 0.0005  # [s], as in the node
 
 
 def message(points: np.ndarray) -> bytes:
@@ -60,13 +60,18 @@ def paths(count: int) -> dict[str, np.ndarray]:
     }
 
 
-def steps(ready: threading.Event, stop: threading.Event) -> np.ndarray:
-    """Return how long after its due time each control step ended [s], between two events."""
+def driver_under_way() -> Driver:
+    """Return a driver that has followed another path for a while."""
     driver = Driver(load_settings(Settings, "path_follower"))
     driver.follow(lissajous())
-    pose = np.array([0.3, 0.5, 0.4])
-    for warm in range(200):
-        driver.step(pose, warm * 10_000_000)
+    for step in range(200):
+        driver.step(np.array([0.3, 0.5, 0.4]), step * 10_000_000)
+    return driver
+
+
+def steps(ready: threading.Event, stop: threading.Event) -> np.ndarray:
+    """Return how long after its due time each control step ended [s], between two events."""
+    driver, pose = driver_under_way(), np.array([0.3, 0.5, 0.4])
     ready.set()
     late, due = [], time.perf_counter()
     while not stop.is_set():
@@ -77,7 +82,7 @@ def steps(ready: threading.Event, stop: threading.Event) -> np.ndarray:
     return np.array(late)
 
 
-def watched(work: object) -> tuple[float, np.ndarray]:
+def watched(work: Callable[[], object]) -> tuple[float, np.ndarray]:
     """Return how long work takes in a thread [s], and how late control steps end meanwhile [s]."""
     ready, stop, elapsed = threading.Event(), threading.Event(), [math.nan]
 
@@ -86,7 +91,7 @@ def watched(work: object) -> tuple[float, np.ndarray]:
         time.sleep(0.1)
         begun = time.perf_counter()
         try:
-            work()  # type: ignore[operator]
+            work()
         finally:
             elapsed[0] = time.perf_counter() - begun
             stop.set()
@@ -98,35 +103,46 @@ def watched(work: object) -> tuple[float, np.ndarray]:
     return elapsed[0], late
 
 
+def first_step(route: Route) -> float:
+    """Return how long the first step on a new route takes [s], the least of three."""
+    times = []
+    for _ in range(3):
+        driver = driver_under_way()
+        driver.follow(route)
+        pose = route.segments[0].path.frame(0.0).pose
+        begun = time.perf_counter()
+        driver.step(pose, 3_000_000_000)
+        times.append(time.perf_counter() - begun)
+    return min(times)
+
+
+def show(name: str, points: np.ndarray, fit: Fit) -> None:
+    """Print a line of the table."""
+    raw = message(points)
+    routes = [fit(raw, (), PathSettings())]
+    begun = time.perf_counter()
+    routes.append(fit(raw, (), PathSettings()))
+    alone = time.perf_counter() - begun
+    beside, late = watched(lambda: routes.append(fit(raw, (), PathSettings())))
+    print(
+        f"{len(points)} poses, {name:<20} {alone:.2f} s, beside control steps {beside:.2f} s; the "
+        f"latest step {1e3 * late.max():5.1f} ms late; the first on it "
+        f"{1e3 * first_step(routes[-1]):4.1f} ms"
+    )
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--poses", type=int, default=100_000)
     count = parser.parse_args().poses
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    _, alone = watched(lambda: time.sleep(2.0))
-    print(f"control steps alone: the latest {1e3 * alone.max():.1f} ms late")
-    for name, points in paths(count).items():
-        raw = message(points)
-
-        def work(raw: bytes = raw) -> None:
-            poses = read_path(raw).poses
-            prepare(poses[:, :2], PathSettings(), poses[:, 2]).make_ready()
-
-        times = []
-        for _ in range(3):
-            begun = time.perf_counter()
-            work()
-            times.append(time.perf_counter() - begun)
-        beside, late = watched(work)
-        begun = time.perf_counter()
-        read_path(raw)
-        reading = time.perf_counter() - begun
-        print(
-            f"{count} poses, {name:<20} read {1e3 * reading:4.0f} ms, in all "
-            f"{min(times):.2f} s, beside control steps {beside:.2f} s; the latest step "
-            f"{1e3 * late.max():.1f} ms late"
-        )
+    with FittingProcess() as fitting:
+        _, alone = watched(lambda: time.sleep(2.0))
+        print(f"control steps alone: the latest {1e3 * alone.max():.1f} ms late")
+        for text, fit in (("a process", fitting.route), ("a thread", route_of_message)):
+            print(f"prepared in {text}:")
+            for name, points in paths(count).items():
+                show(name, points, fit)
 
 
 if __name__ == "__main__":

@@ -42,18 +42,24 @@ def read_path(raw: bytes) -> PathPoses:
         CdrError: The bytes are no such message.
 
     """
-    if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
-        raise CdrError("no CDR encapsulation")
-    order = "<" if raw[1] else ">"
+    frame, at, order = _header(raw)
     try:
-        at = _HEADER + _STAMP
-        frame, at = _text(raw, at, order)
         at = _aligned(at, 4)
         (count,) = struct.unpack_from(f"{order}I", raw, at)
         numbers = _numbers(raw, at + 4, int(count), order)
     except struct.error:
         raise CdrError("the message is shorter than its fields") from None
     return PathPoses(frame, _planar(numbers))
+
+
+def frame_of(raw: bytes) -> str:
+    """Return the frame of a serialised nav_msgs/Path, at once.
+
+    Raises:
+        CdrError: The bytes are no such message.
+
+    """
+    return _header(raw)[0]
 
 
 def is_empty(raw: bytes) -> bool:
@@ -86,6 +92,22 @@ def transformed(poses: FloatArray, transform: tuple[float, ...]) -> FloatArray:
         ],
         axis=1,
     )
+
+
+def _header(raw: bytes) -> tuple[str, int, str]:
+    """Return the frame, where the header ends, and the byte order.
+
+    Raises:
+        CdrError: There is no header.
+
+    """
+    if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
+        raise CdrError("no CDR encapsulation")
+    order = "<" if raw[1] else ">"
+    try:
+        return *_text(raw, _HEADER + _STAMP, order), order
+    except struct.error:
+        raise CdrError("the message is shorter than its fields") from None
 
 
 def _aligned(at: int, size: int) -> int:

@@ -22,6 +22,8 @@ _DEGREE = 5  # of the pieces: curvature is then twice differentiable
 _PIECE = 0.05  # [m]
 _LEAST_PIECES, _MOST_PIECES = 64, 100_000  # the most take 30 MB
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
+_SPACING = 0.02  # [m] of places where the path is sampled, at most ...
+_MOST_PLACES = 100_000  # ... so many pieces
 _NEWTON_STEPS = 8
 _BLOCK = 8192  # rows at once: what a thread computes must leave others a word, too
 
@@ -219,7 +221,7 @@ class Path:
 
     def nearest_and_score(self, pose: FloatArray) -> tuple[float, float]:
         """Return the arc length [m] of `nearest`, and how badly it suits [m²], 0 at best."""
-        arc_length, x, y, cos, sin = self._places
+        arc_length, x, y, cos, sin, _ = self._places
         dx, dy = x - pose[0], y - pose[1]
         score = dx * dx + dy * dy + 1.0 - (cos * math.cos(pose[2]) + sin * math.sin(pose[2]))
         best = int(np.argmin(score))
@@ -232,11 +234,20 @@ class Path:
 
     @functools.cached_property
     def _places(self) -> tuple[FloatArray, ...]:
-        """Arc length, x, y, cos and sin of the heading at places along the path, each (M,)."""
-        count = max(2, min(100_000, math.ceil(self.length / 0.02)))
-        arc_length = np.linspace(0.0, self.length, count)
-        x, y, heading = self.frame(arc_length).pose.T
-        return arc_length, x.copy(), y.copy(), np.cos(heading), np.sin(heading)
+        """Arc length, x, y, cos and sin of the heading and curvature along the path, each (M,)."""
+        pieces = min(max(2, math.ceil(self.length / _SPACING)), _MOST_PLACES)
+        arc_length = np.linspace(0.0, self.length, pieces + 1)
+        frame = self.frame(arc_length)
+        x, y, heading = frame.pose.T
+        return arc_length, x.copy(), y.copy(), np.cos(heading), np.sin(heading), frame.curvature
+
+    @property
+    def sampled_curvature(self) -> FloatArray:
+        """Return the curvature [1/m] at equidistant places from start to end, at most 2 cm apart.
+
+        Shape (M,), at most 100,001; further apart on a path of more than 2 km.
+        """
+        return self._places[-1]
 
     def digest(self) -> str:
         """Return a hash of the path's coefficients: equal digests are equal paths."""

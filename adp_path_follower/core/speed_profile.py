@@ -24,8 +24,6 @@ from adp_path_follower.core.settings import Settings
 SHARE = 0.8  # eta: of accelerations and angular velocity; the rest is for corrections
 _SLOWEST = 0.05  # [m/s], and ...
 _SLOWEST_SHARE = 0.25  # ... of the highest speed: below, models take this for the speed
-_NODE_SPACING = 0.02  # [m]
-_MOST_NODES = 100_000
 _TURNING = 0.05  # [m] over which the change of curvature is taken
 
 
@@ -41,6 +39,7 @@ class SpeedProfile:
 
     """
 
+    @np.errstate(over="ignore")  # what is infinite is no limit
     def __init__(self, path: Path, settings: Settings) -> None:
         """Find the speeds at nodes along the path."""
         target, limits, motion = settings.target, settings.limits, settings.motion
@@ -49,9 +48,9 @@ class SpeedProfile:
         self.slowest = min(_SLOWEST, _SLOWEST_SHARE * self.highest)
         self.stops = not path.closed and math.isfinite(motion.max_linear_decel)
         self._length, self._closed = path.length, path.closed
-        pieces = min(max(2, math.ceil(path.length / _NODE_SPACING)), _MOST_NODES)
+        curvature = path.sampled_curvature
+        pieces = len(curvature) - 1
         self._step = path.length / pieces
-        curvature = path.curvature(np.arange(pieces + 1) * self._step)
         squared = self._pointwise(curvature, settings)
         if self.stops:
             squared[-1] = 0.0
@@ -158,8 +157,9 @@ def _at_most_rising_by(values: FloatArray, steps: FloatArray) -> FloatArray:
         steps: From one value to the next, shape (N - 1,).
 
     """
-    if not np.isfinite(steps).all():  # all are, or none
+    if np.isinf(steps).all():
         return values
-    slope = np.append(0.0, np.cumsum(steps))
+    # To rise by the highest of them is to rise to any of them; without it, sums may overflow.
+    slope = np.append(0.0, np.cumsum(np.minimum(steps, values.max())))
     reached = np.minimum.accumulate(values - slope) + slope
     return np.where(reached < (1.0 - 1e-12) * values, reached, values)  # but for rounding

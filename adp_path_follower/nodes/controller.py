@@ -27,12 +27,9 @@ from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State, Status, Supervisor, deviation
 from adp_path_follower.nodes.commands import WATCH_PERIOD, Commands
-from adp_path_follower.nodes.conversions import (
-    Measurement,
-    MessageError,
-    measurement_of,
-)
+from adp_path_follower.nodes.conversions import Measurement, MessageError, measurement_of
 from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
+from adp_path_follower.nodes.path_fitting import Fit, FittingProcess, route_of_message
 from adp_path_follower.nodes.path_input import PathInput
 from adp_path_follower.nodes.path_intake import PathAnswer
 from adp_path_follower.nodes.run import Ending, run_node
@@ -48,14 +45,15 @@ _ZERO = np.zeros(2)
 class PathFollowerNode(Ending, LifecycleNode):
     """Orchestrate: messages to `PathFollower`, `Supervisor` and back."""
 
-    def __init__(self) -> None:
-        """Declare the parameters; the rest waits for the lifecycle."""
+    def __init__(self, fit: Fit = route_of_message) -> None:
+        """Declare the parameters; `fit` makes routes of paths, in another thread."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         self._settings = declare_settings(self, Settings)
         LiveSettings(self, self._settings, self._prepare_settings)
         self._weights = WeightsFiles(self, self._settings, lambda: self._driver)
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._commands: Commands | None = None
+        self._fit = fit
         self._path: PathInput | None = None
         self._entities: list[tuple[Any, Any]] = []
         self._forget_run()
@@ -96,7 +94,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         )
         limit = self.create_subscription(Float64, "speed_limit", self._receive_speed_limit, 1)
         self._path = PathInput(
-            self, lambda: self._settings.path, self._follow_path, self._refuse_path
+            self, lambda: self._settings.path, self._follow_path, self._refuse_path, self._fit
         )
         reset = self.create_service(Trigger, "~/reset_learning", self._reset_learning)
         stop = self.create_service(Trigger, "~/stop", self._stop)
@@ -394,4 +392,5 @@ class PathFollowerNode(Ending, LifecycleNode):
 
 def main() -> int:
     """Run the node; return its exit code."""
-    return run_node(NODE_NAME, PathFollowerNode)
+    with FittingProcess() as fitting:
+        return run_node(NODE_NAME, lambda: PathFollowerNode(fitting.route))

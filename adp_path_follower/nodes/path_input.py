@@ -12,6 +12,7 @@ from rclpy.node import Node
 from adp_path_follower.bags.path_message import is_empty
 from adp_path_follower.core.settings import PathSettings
 from adp_path_follower.nodes.frames import frame_transform
+from adp_path_follower.nodes.path_fitting import Fit
 from adp_path_follower.nodes.path_intake import PathAnswer, PathIntake, PathRequest
 from adp_path_follower.nodes.telemetry import LATCHED
 
@@ -31,6 +32,7 @@ class PathInput:
         settings: Callable[[], PathSettings],
         follow: Callable[[PathAnswer | None], None],
         refuse: Callable[[str], None],
+        fit: Fit,
     ) -> None:
         """Subscribe.
 
@@ -39,6 +41,7 @@ class PathInput:
             settings: Returns what to prepare paths with.
             follow: Called to follow another path, or none.
             refuse: Called with a sentence where a path cannot be followed.
+            fit: Makes routes; called in another thread.
 
         """
         self.followed: PathAnswer | None = None
@@ -46,8 +49,9 @@ class PathInput:
         self._node, self._settings = node, settings
         self._follow, self._refuse = follow, refuse
         self._odom_frame = ""
+        self._refused: PathRequest | None = None  # in the frame that the odometry had then
         self._fitted = node.create_guard_condition(self._take)
-        self._intake = PathIntake(frame_transform(node), self._fitted.trigger)
+        self._intake = PathIntake(frame_transform(node), self._fitted.trigger, fit)
         self._subscription: Any = node.create_subscription(
             PathMessage, "path", self._receive, LATCHED, raw=True
         )
@@ -59,11 +63,16 @@ class PathInput:
         self._node.destroy_subscription(self._subscription)
 
     def odometry_in(self, frame: str) -> None:
-        """Note the odometry's frame; where it has changed, the path is needed in the new one."""
-        self._odom_frame = frame
+        """Note the odometry's frame; where it has changed, the path is needed in the new one.
+
+        So is one that was refused: the frame may have been the reason.
+        """
+        changed, self._odom_frame = frame != self._odom_frame, frame
         if self.followed is not None and self.followed.followed_frame != frame:
-            self._intake.submit(replace(self.followed.request, odom_frame=frame))
+            self._submit(replace(self.followed.request, odom_frame=frame))
             self._change(None)
+        elif self._refused is not None and changed:
+            self._submit(replace(self._refused, odom_frame=frame))
 
     def retry(self) -> None:
         """Ask again, now and then, for a path whose transform was not known."""
@@ -77,10 +86,14 @@ class PathInput:
         """Let a path be prepared; an empty one stops at once."""
         if is_empty(raw):
             self._intake.cancel()
-            self.problem = ""
+            self.problem, self._refused = "", None
             self._change(None)
         else:
-            self._intake.submit(PathRequest(raw, self._settings(), self._odom_frame))
+            self._submit(PathRequest(raw, self._settings(), self._odom_frame))
+
+    def _submit(self, request: PathRequest) -> None:
+        self._refused = None
+        self._intake.submit(request)
 
     def _take(self) -> None:
         """Take over a path that has been prepared, or refuse it and go on with the present one."""
@@ -89,6 +102,7 @@ class PathInput:
             return
         self.problem = found.problem
         if found.route is None:
+            self._refused = found.request
             self._refuse(found.problem)
             return
         present = None if self.followed is None else self.followed.route

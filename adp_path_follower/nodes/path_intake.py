@@ -1,31 +1,24 @@
-"""Paths come in: read, transformed and fitted in a thread of their own.
+"""Paths come in: read, transformed and fitted while the robot drives on.
 
-The control thread only hands over bytes and takes back a finished route. Both threads share one
-interpreter, so a path of a hundred thousand poses still makes some control steps wait for tens of
-milliseconds (`bench/paths.py`), instead of a second. A newer path supersedes an older one that is
-in the works.
+The control thread only hands over bytes and takes back a finished route; another thread waits for
+what becomes of them (`path_fitting`). A newer path supersedes an older one that is in the works.
 """
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.path_message import read_path, transformed
+from adp_path_follower.bags.path_message import frame_of
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings
 from adp_path_follower.nodes.conversions import wrong_frame
 from adp_path_follower.nodes.frames import FrameError, FrameTransform
+from adp_path_follower.nodes.path_fitting import REFUSALS, Fit, reason, route_of_message
 
-# [s] after which Python's interpreter hands over to a waiting thread; 5 ms by default, half a
-# control period at 100 Hz.
-_SWITCH_INTERVAL = 0.0005
 _RETRY_PERIOD = 1.0  # [s], steady
 
 
@@ -84,40 +77,42 @@ class PathAnswer:
         return f"{', '.join(parts)}, in frame '{self.followed_frame}'"
 
 
-def answer(request: PathRequest, frames: FrameTransform | None) -> PathAnswer:
+def answer(
+    request: PathRequest, frames: FrameTransform | None, fit: Fit = route_of_message
+) -> PathAnswer:
     """Return the route of a path, ready to be driven, or why there is none."""
+    frame, transform = "", tuple[float, ...]()
     try:
-        message = read_path(request.raw)
-    except CdrError as error:
-        return PathAnswer(request, "", problem=f"path cannot be read: {error}")
-    transform: tuple[float, ...] = ()
-    try:
-        if request.odom_frame and message.frame != request.odom_frame:
+        frame = frame_of(request.raw)
+        if request.odom_frame and frame != request.odom_frame:
             if frames is None:
-                raise AdpError(wrong_frame(message.frame, request.odom_frame))
-            transform = frames.planar(request.odom_frame, message.frame)
-        poses = transformed(message.poses, transform)
-        route = prepare(poses[:, :2], request.settings, poses[:, 2])
-    except AdpError as error:
+                raise AdpError(wrong_frame(frame, request.odom_frame))
+            transform = frames.planar(request.odom_frame, frame)
+        route = fit(request.raw, transform, request.settings)
+    except REFUSALS as error:
         may_come = isinstance(error, FrameError)
-        return PathAnswer(request, message.frame, problem=str(error), may_come=may_come)
-    route.make_ready()
-    return PathAnswer(request, message.frame, route, transform)
+        return PathAnswer(request, frame, problem=reason(error), may_come=may_come)
+    return PathAnswer(request, frame, route, transform)
 
 
 class PathIntake:
     """Answers the latest request in a thread."""
 
-    def __init__(self, frames: FrameTransform | None, ready: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        frames: FrameTransform | None,
+        ready: Callable[[], None],
+        fit: Fit = route_of_message,
+    ) -> None:
         """Start the thread.
 
         Args:
             frames: Knows where frames are, None without tf2.
             ready: Called in the thread when there is an answer to `take`.
+            fit: Makes routes; called in the thread.
 
         """
-        sys.setswitchinterval(_SWITCH_INTERVAL)
-        self._frames, self._ready = frames, ready
+        self._frames, self._ready, self._fit = frames, ready, fit
         self._changed = threading.Condition()
         self._request: PathRequest | None = None
         self._answer: PathAnswer | None = None
@@ -179,7 +174,7 @@ class PathIntake:
                     return
                 request = self._request
             assert request is not None  # it was waited for
-            found = answer(request, self._frames)
+            found = answer(request, self._frames, self._fit)
             with self._changed:
                 done = request
                 if self._request is not request or self._closed:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import solve_continuous_are
 
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.errors import SettingsError
@@ -14,6 +15,7 @@ from adp_path_follower.core.riccati import (
     INPUT_MATRIX,
     RiccatiSchedule,
     riccati_solution,
+    riccati_solutions,
     system_matrix,
 )
 from adp_path_follower.core.settings import CostSettings, TargetSettings
@@ -57,6 +59,29 @@ def test_the_system_is_the_error_dynamics_linearised(curvature, target):
         np.testing.assert_allclose(system[:, axis], (ahead - behind) / (2.0 * h), atol=1e-6)
     on_path = error_dynamics.input_matrix(np.zeros(4))[:3]
     assert on_path.tolist() == INPUT_MATRIX.tolist()
+
+
+wide = st.floats(-3.0, 3.0).map(lambda power: 10.0**power)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    nodes=st.lists(st.tuples(curvatures, wide), min_size=1, max_size=8),
+    gain=wide,
+    state_cost=st.tuples(*[wide | st.just(0.0)] * 3),
+    input_cost=st.tuples(wide, wide),
+)
+def test_many_solutions_are_those_that_scipy_finds_one_by_one(nodes, gain, state_cost, input_cost):
+    target, cost = TargetSettings(target_gain=gain), CostSettings(state_cost, input_cost)
+    curvature, speed = np.array(nodes).T
+    found = riccati_solutions(curvature, speed, target, cost)
+    least = 1e-6 * max(1.0, sum(state_cost)) * np.eye(3)
+    for number, (kappa, v_des) in enumerate(nodes):
+        system = system_matrix(kappa, target, v_des)
+        expected = solve_continuous_are(
+            system, INPUT_MATRIX, np.diag(state_cost) + least, np.diag(input_cost)
+        )
+        np.testing.assert_allclose(found[number], expected, atol=1e-6 * np.abs(expected).max())
 
 
 @settings(max_examples=100, deadline=None)

@@ -33,6 +33,15 @@ def profile_of(path, **values):
     return SpeedProfile(path, build(Settings, values))
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("path", [EIGHT, LINE, BEND], ids=["eight", "line", "bend"])
+def test_limits_beyond_any_robot_are_none(path):
+    names = ("max_linear_accel", "max_angular_accel", "max_lateral_accel", "max_angular_vel")
+    profile = profile_of(path, **dict.fromkeys(names, 1.7e308))
+    places = np.linspace(0.0, path.length, 500)
+    np.testing.assert_allclose(profile.speed(places), 0.5, rtol=1e-9)
+
+
 @pytest.mark.parametrize("path", [EIGHT, LINE, circle(-1.0)], ids=["eight", "line", "circle"])
 def test_without_limits_that_bind_it_is_the_desired_speed(path):
     profile = profile_of(path)

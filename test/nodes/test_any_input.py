@@ -54,6 +54,7 @@ class Spied(PathFollowerNode):
         values = {**flatten(self._settings), **parameters}
         self._forget_run()
         self._path._receive(serialize_message(PathMessage()))
+        self._path.odometry_in(FRAMES[0])
         self._supervisor.active = True
         self.commands = []
         self._commands.send = self.sent
@@ -213,6 +214,16 @@ def test_a_first_pose_that_is_absurd(node, tolerance, distance):
         node.take(good_odometry(step))
     assert node.state is State.FOLLOWING
     assert -0.5 < float(node._driver.follower.arc_length) < 0.5
+
+
+def test_a_path_that_was_refused_for_the_frame_of_the_odometry_is_taken_in_the_right_one(node):
+    node.begin()
+    wrong = odometry_message(0, np.zeros(3), np.array([0.5, 0.0]), ("map", "base_link"))
+    node.take(wrong)
+    node.take(LINE)
+    assert "map" in node._path.problem
+    assert is_good_again(node, 1)
+    assert not node._path.problem
 
 
 def test_what_is_too_far_or_too_fast_is_told(node):

@@ -1,0 +1,92 @@
+"""Paths are prepared in a process of its own, or without it by whoever asks."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import is_zero
+from rclpy.serialization import serialize_message
+
+from adp_path_follower.core.errors import PathError
+from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.nodes.conversions import path_message
+from adp_path_follower.nodes.path_fitting import REFUSALS, FittingProcess, reason, route_of_message
+
+EIGHT = serialize_message(path_message(lissajous(), "odom", 0, 0.05))
+SPOT = serialize_message(path_message(lissajous(), "odom", 0, 1e3))[:60]
+
+
+@pytest.mark.parametrize("transform", [(), (1.0, -2.0, 0.3)])
+def test_the_route_is_the_one_that_is_made_here(transform):
+    with FittingProcess() as fitting:
+        for tolerance in (0.0, 0.05):
+            settings = PathSettings(path_tolerance=tolerance)
+            there = fitting.route(EIGHT, transform, settings)
+            here = route_of_message(EIGHT, transform, settings)
+            assert there.digest() == here.digest()
+            pose = np.array([1.0, 0.5, 0.2])
+            assert there.nearest(pose) == here.nearest(pose)
+
+
+@pytest.mark.parametrize("raw", [b"", b"\0\1\0\0", SPOT, EIGHT[:-3], EIGHT[:3000]])
+def test_what_is_refused_is_refused_with_the_same_words(raw):
+    with pytest.raises(REFUSALS) as here:
+        route_of_message(raw, (), PathSettings())
+    with FittingProcess() as fitting:
+        with pytest.raises(PathError) as there:
+            fitting.route(raw, (), PathSettings())
+        assert str(there.value) == reason(here.value)
+        assert fitting.route(EIGHT, (), PathSettings()).closed  # and it goes on
+
+
+def test_without_its_process_a_path_is_prepared_all_the_same():
+    with FittingProcess() as fitting:
+        os.kill(fitting.pid, signal.SIGKILL)
+        for _ in range(2):
+            assert fitting.route(EIGHT, (), PathSettings()).closed
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started."""
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(number) for number in text.split()]
+
+
+@pytest.mark.nodes
+def test_the_controller_goes_on_without_the_process(drive):
+    (fitting,) = children(drive.controller.process.pid)
+    os.kill(fitting, signal.SIGINT)  # Ctrl-C reaches it, too, and is for the node
+    drive.peer.send_path("circle:0.5")
+    drive.peer.until(lambda: drive.controller.output().count("new path") == 2, "the circle")
+    assert children(drive.controller.process.pid) == [fitting]
+    os.kill(fitting, signal.SIGKILL)
+    drive.peer.send_path("line")
+    drive.peer.until(lambda: drive.controller.output().count("new path") == 3, "the line")
+    assert "the process that prepares paths has ended" in drive.controller.output()
+    drive.until_moving()
+    assert drive.controller.stop() == 0
+    drive.peer.until(lambda: is_zero(drive.commands[-1]), "the stop")
+
+
+@pytest.mark.nodes
+def test_the_process_ends_with_its_controller_even_if_that_is_killed(drive):
+    (fitting,) = children(drive.controller.process.pid)
+    os.kill(drive.controller.process.pid, signal.SIGKILL)
+    end = time.monotonic() + 30.0
+    while Path(f"/proc/{fitting}/cmdline").exists() and _runs(fitting):
+        assert time.monotonic() < end, "it still runs"
+        time.sleep(0.05)
+
+
+def _runs(pid: int) -> bool:
+    """Return whether a process is more than an entry that nobody has asked for."""
+    try:
+        return " Z " not in Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
+        return False
