@@ -13,25 +13,22 @@ it holds what DDS and a busy machine add, and the timeout where a timeout is wha
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
-import itertools
 import json
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "nodes"))
-
-# What the tests have for nodes, a peer on their domain and a defective controller.
-from conftest import Drive, Peer, is_zero  # after the path
+from fault_robots import Bench  # before the next, which it makes known
 from fault_table import GROUPS, table
+
+# isort: split
+# What the tests have for nodes, a peer on their domain and a defective controller.
+from conftest import Drive, Peer, is_zero
 from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -39,10 +36,10 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from test_controller_node import BROKEN_CONTROLLER
-from test_other_processes import Team, launched
+from test_other_processes import Team
 from test_safety import HANGING_CONTROLLER, SimulatedTime
 
-from adp_path_follower.nodes.processes import NodeProcess, own_domain
+from adp_path_follower.nodes.processes import own_domain
 
 NAN, INFINITE = float("nan"), float("inf")
 ODOMETRY = {
@@ -55,72 +52,6 @@ ODOMETRY = {
     "odometry jumps by 3 m": {"x": 3.0},
     "odometry turns by half a turn": {"qz": 1.0, "qw": 0.0},
 }
-
-
-class Bench:
-    """Controllers on a domain of their own."""
-
-    def __init__(self, domain: int, folder: Path, only: str) -> None:
-        """Take the domain, a folder for logs, and a part of the names of faults that are wanted."""
-        self._domain, self._folder, self._only = domain, folder, only
-        self._numbers = itertools.count()
-
-    def wanted(self, *names: str) -> bool:
-        """Return whether one of these faults is to be measured."""
-        return any(self._only in name for name in names)
-
-    @contextlib.contextmanager
-    def nodes(self) -> Iterator[tuple[Peer, Callable[..., NodeProcess]]]:
-        """Yield a peer, and what starts nodes that end with the block."""
-        peer, nodes = Peer(self._domain), []
-
-        def start(executable: str, **values: Any) -> NodeProcess:
-            log = self._folder / f"{next(self._numbers)}.log"
-            nodes.append(NodeProcess(executable, values, log=log, domain=self._domain))
-            return nodes[-1]
-
-        try:
-            yield peer, start
-        finally:
-            peer.close()
-            for node in nodes:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(node.process.pid, signal.SIGCONT)
-                node.stop()
-
-    @contextlib.contextmanager
-    def drive(self, **parameters: Any) -> Iterator[Drive]:
-        """Yield a robot that moves."""
-        with self.nodes() as (peer, start):
-            yield Drive(peer, start, **parameters)
-
-    @contextlib.contextmanager
-    def orphan(self) -> Iterator[tuple[Drive, subprocess.Popen[bytes]]]:
-        """Yield a robot that moves, and the process that launched its controller."""
-        peer = Peer(self._domain)
-        try:
-            log = self._folder / f"{next(self._numbers)}.log"
-            with launched(peer, self._domain, log) as (drive, launcher, _):
-                yield drive, launcher
-        finally:
-            peer.close()
-
-    @contextlib.contextmanager
-    def defective(self, code: str) -> Iterator[Peer]:
-        """Yield a peer that feeds a controller with a defect after 50 steps."""
-        peer = Peer(self._domain)
-        with subprocess.Popen(  # noqa: S603  # our own code
-            [sys.executable, "-c", code],
-            env={**os.environ, "ROS_DOMAIN_ID": str(self._domain)},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        ) as process:
-            try:
-                peer.until_matched(peer.odometry, peer.path)
-                yield peer
-            finally:
-                process.kill()
-                peer.close()
 
 
 def until_zero(peer: Peer, commands: list[Any], since: float) -> float:

@@ -237,8 +237,11 @@ def _levels(
         reach = 2 * (width - 1)
         if reach >= len(values) - 1:
             break
-        kind = {"mode": "wrap"} if grid.closed else {"mode": "reflect", "reflect_type": "odd"}
-        padded = np.pad(values, ((reach, reach), (0, 0)), **kind)  # type: ignore[call-overload]
+        around = ((reach, reach), (0, 0))
+        if grid.closed:
+            padded = np.pad(values, around, mode="wrap")
+        else:
+            padded = np.pad(values, around, mode="reflect", reflect_type="odd")
         curve = _four_boxes(padded, width, "nearest")[reach:-reach]
         before, moved = moved, np.hypot(*(curve - anchor).T)
         beyond = moved > budget

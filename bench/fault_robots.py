@@ -1,0 +1,87 @@
+"""Robots that move, with their nodes, for faults to be injected into."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "nodes"))
+
+# What the tests have for nodes, and a peer on their domain.
+from conftest import Drive, Peer  # after the path
+from test_other_processes import launched
+
+from adp_path_follower.nodes.processes import NodeProcess
+
+
+class Bench:
+    """Controllers on a domain of their own."""
+
+    def __init__(self, domain: int, folder: Path, only: str) -> None:
+        """Take the domain, a folder for logs, and a part of the names of faults that are wanted."""
+        self._domain, self._folder, self._only = domain, folder, only
+        self._numbers = itertools.count()
+
+    def wanted(self, *names: str) -> bool:
+        """Return whether one of these faults is to be measured."""
+        return any(self._only in name for name in names)
+
+    @contextlib.contextmanager
+    def nodes(self) -> Iterator[tuple[Peer, Callable[..., NodeProcess]]]:
+        """Yield a peer, and what starts nodes that end with the block."""
+        peer, nodes = Peer(self._domain), []
+
+        def start(executable: str, **values: Any) -> NodeProcess:
+            log = self._folder / f"{next(self._numbers)}.log"
+            nodes.append(NodeProcess(executable, values, log=log, domain=self._domain))
+            return nodes[-1]
+
+        try:
+            yield peer, start
+        finally:
+            peer.close()
+            for node in nodes:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(node.process.pid, signal.SIGCONT)
+                node.stop()
+
+    @contextlib.contextmanager
+    def drive(self, **parameters: Any) -> Iterator[Drive]:
+        """Yield a robot that moves."""
+        with self.nodes() as (peer, start):
+            yield Drive(peer, start, **parameters)
+
+    @contextlib.contextmanager
+    def orphan(self) -> Iterator[tuple[Drive, subprocess.Popen[bytes]]]:
+        """Yield a robot that moves, and the process that launched its controller."""
+        peer = Peer(self._domain)
+        try:
+            log = self._folder / f"{next(self._numbers)}.log"
+            with launched(peer, self._domain, log) as (drive, launcher, _):
+                yield drive, launcher
+        finally:
+            peer.close()
+
+    @contextlib.contextmanager
+    def defective(self, code: str) -> Iterator[Peer]:
+        """Yield a peer that feeds a controller with a defect after 50 steps."""
+        peer = Peer(self._domain)
+        with subprocess.Popen(  # noqa: S603  # our own code
+            [sys.executable, "-c", code],
+            env={**os.environ, "ROS_DOMAIN_ID": str(self._domain)},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        ) as process:
+            try:
+                peer.until_matched(peer.odometry, peer.path)
+                yield peer
+            finally:
+                process.kill()
+                peer.close()
