@@ -1,6 +1,7 @@
 """Any odometry, path and parameters that can be built, through the callbacks of the real node.
 
-No exception, and every command that is published is finite and within the limits.
+No exception, and every command that is published is finite and within the limits of velocity and
+acceleration.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ LINE = path_message(named_path("line"), "odom", 0, 0.1)
 class Spied(PathFollowerNode):
     """The controller node, whose callbacks the test calls and whose commands are looked at."""
 
-    answered = None
+    answered = told = None
 
     def begin(self, **parameters):
         """Forget what was, and begin a run with these parameters."""
@@ -56,8 +57,8 @@ class Spied(PathFollowerNode):
         self._path._receive(serialize_message(PathMessage()))
         self._path.odometry_in(FRAMES[0])
         self._supervisor.active = True
-        self.commands = []
-        self._commands.send = self.sent
+        self.commands, self.told = [], None
+        self._commands.send, self._commands.stop = self.sent, self.stopped
         results = self.change({name: values[name] for name in parameters})
         assert all(result.successful for result in results), results
 
@@ -69,14 +70,34 @@ class Spied(PathFollowerNode):
         ]
         return [self.set_parameters_atomically(parameters)] if parameters else []
 
+    def stopped(self):
+        """Take the robot for one at rest, as it is told to stop."""
+        self.told = None
+        type(self._commands).stop(self._commands)
+
     def sent(self, command, time):
-        """Look at a command that is to be published."""
-        limits = self._settings.limits
+        """Look at a command that is to be published, and at the one before."""
         assert np.isfinite(command).all(), command
-        if command.any():  # zero velocity is to stop
-            assert (command >= limits.lower - 1e-9).all(), command
-            assert (command <= limits.upper + 1e-9).all(), command
+        limits, motion = self._settings.limits, self._settings.motion
+        before, period = np.zeros(2), 1.0 / self._settings.controller.controller_frequency
+        if self.told is not None:
+            before, elapsed = self.told[0], 1e-9 * (time - self.told[1])
+            period = min(elapsed, 0.1) if elapsed > 1e-6 else period
+        self.told = (command, time)
         self.commands.append(command)
+        # Beyond the velocity limits only on the way back to them, after these were changed.
+        beyond = [
+            np.maximum(limits.lower - item, 0.0) + np.maximum(item - limits.upper, 0.0)
+            for item in (before, command)
+        ]
+        assert (beyond[1] <= beyond[0] + 1e-9).all(), (before, command)
+        (v0, w0), (v1, w1) = before, command
+        assert abs(w1 - w0) <= motion.max_angular_accel * period * (1 + 1e-9) + 1e-9
+        # Faster in either direction is to accelerate; slower, down to rest, to decelerate.
+        faster = max(abs(v1) - abs(v0), 0.0) if v0 * v1 >= 0.0 else abs(v1)
+        slower = max(abs(v0) - abs(v1), 0.0) if v0 * v1 >= 0.0 else abs(v0)
+        assert faster <= motion.max_linear_accel * period * (1 + 1e-9) + 1e-9, (before, command)
+        assert slower <= motion.max_linear_decel * period * (1 + 1e-9) + 1e-9, (before, command)
 
     def take(self, message):
         """Take an odometry message or a path."""
@@ -163,14 +184,19 @@ def paths(draw):
     return message
 
 
+ACCELERATIONS = {"max_linear_accel": 0.5, "max_linear_decel": 1.0, "max_angular_accel": 2.0}
+
+
 @settings(max_examples=120, deadline=None)
 @given(
     messages=st.lists(st.one_of(odometry(), odometry(), paths()), max_size=6),
     tolerance=st.sampled_from([0.5, math.inf]),
     first=st.booleans(),
+    limited=st.booleans(),
 )
-def test_any_messages(node, messages, tolerance, first):
-    node.begin(odom_jump_tolerance=tolerance)
+def test_any_messages(node, messages, tolerance, first, limited):
+    accelerations = ACCELERATIONS if limited else dict.fromkeys(ACCELERATIONS, math.inf)
+    node.begin(odom_jump_tolerance=tolerance, **accelerations)
     node.take(LINE)
     if not first:
         for step in range(3):
