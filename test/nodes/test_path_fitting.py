@@ -34,7 +34,11 @@ def test_the_route_is_the_one_that_is_made_here(transform):
             assert there.nearest(pose) == here.nearest(pose)
 
 
-@pytest.mark.parametrize("raw", [b"", b"\0\1\0\0", SPOT, EIGHT[:-3], EIGHT[:3000]])
+@pytest.mark.parametrize(
+    "raw",
+    [b"", b"\0\1\0\0", SPOT, EIGHT[:-3], EIGHT[:3000]],
+    ids=["nothing", "no header", "no pose", "cut at its end", "cut"],
+)
 def test_what_is_refused_is_refused_with_the_same_words(raw):
     with pytest.raises(REFUSALS) as here:
         route_of_message(raw, (), PathSettings())
