@@ -173,7 +173,7 @@ def time_in_state(drive: Drive) -> dict[str, float]:
 def _covered(drive: Drive) -> float:
     """Return how far the robot came along its path or paths [m]."""
     arc_length = drive.projection.arc_length
-    same = drive.driving[1:] & drive.driving[:-1] & (np.diff(drive.path_of_pose) == 0)
+    same = drive.driving[1:] & drive.driving[:-1] & (np.diff(drive.segment_of_pose) == 0)
     return float(np.diff(arc_length)[same].sum())
 
 
@@ -232,11 +232,12 @@ def _costs(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
         return {}, (f"no cost: the robot was told to move for less than {COST_HORIZON:g} s",)
     place = np.searchsorted(drive.odometry.time, time[chosen] + 1e-9, side="right") - 1
     place = np.maximum(place, 0)
-    path = drive.paths[drive.path_of_pose[place[0]]]
-    if (
-        drive.path_of_pose[place[time[chosen] < COST_HORIZON]] != drive.path_of_pose[place[0]]
-    ).any():
+    numbers = drive.segment_of_pose[place[time[chosen] < COST_HORIZON]]
+    segment, path = drive.segments[numbers[0]], drive.segments[numbers[0]].path
+    if (numbers != numbers[0]).any():
         return {}, (f"no cost: the path changed in the first {COST_HORIZON:g} s",)
+    if segment.reverse:
+        return {}, ("no cost: the robot drove backwards",)
     time = time[chosen] - time[chosen][0]
     count = int(np.searchsorted(time, COST_HORIZON + 1e-6, side="right")) + 1
     time, poses = time[:count], drive.odometry.values[place[:count], :3]

@@ -215,9 +215,10 @@ def _track(drive: Drive, bags: int) -> Track:
                 left=np.nan,
                 right=np.nan,
             )
-    spacing = max(0.05, sum(path.length for path in drive.paths) / 4000)
+    paths = [segment.path for segment in drive.segments]
+    spacing = max(0.05, sum(path.length for path in paths) / 4000)
     return Track(
-        tuple(path.points(spacing)[:, :2] for path in drive.paths[:20]),
+        tuple(path.points(spacing)[:, :2] for path in paths[:20]),
         time[kept],
         poses[kept, :2],
         drive.projection.cross_track[kept],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from adp_path_follower.analysis.projection import Projection, project
+from adp_path_follower.analysis.segments import segments_driven
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.bags.reader import Diagnostic, Run
 from adp_path_follower.bags.recorded_routes import RecordedRoutes
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path as FollowedPath
+from adp_path_follower.core.route import Route, Segment
 from adp_path_follower.core.settings import Settings
 
 _OTHER_CLOCK = 1_000_000_000  # [ns] between arrival and stamp: they are of different clocks
@@ -72,9 +74,10 @@ class Drive:
         start: Stamp of the first odometry while the robot was told to move: time 0 [ns].
         end: Time at which it was last told to move [s].
         odometry: x, y, theta, v, w.
-        projection: The odometry beside the path that was in force.
-        paths: The paths, in order.
-        path_of_pose: Which of them was in force at each odometry, shape (N,).
+        projection: The odometry beside the path that was in force; in reverse, that of the robot
+            turned round.
+        segments: The segments of the paths, in order.
+        segment_of_pose: Which of them was in force at each odometry, shape (N,).
         commands: v, w; no rows where no commands were recorded.
         latency: From the odometry that a command answers to the command, by arrival [s]; no rows
             where the recorder's clock does not tell.
@@ -91,8 +94,8 @@ class Drive:
     end: float
     odometry: Timed
     projection: Projection
-    paths: tuple[FollowedPath, ...]
-    path_of_pose: np.ndarray
+    segments: tuple[Segment, ...]
+    segment_of_pose: np.ndarray
     commands: Timed
     latency: FloatArray
     learner: dict[str, Timed]
@@ -118,7 +121,7 @@ def drive_of(bag: Path, run: Run) -> Drive:
     """
     notes = list(run.notes)
     odometry = _odometry(bag, run, notes)
-    paths, path_times = _paths(bag, run, notes)
+    routes, route_times = _routes(bag, run, notes)
     clock = Clock(run.series["odom"])
     commands = _sorted(run.series.get("cmd_vel"), clock)
     moving = np.flatnonzero(np.abs(commands.values).max(axis=1, initial=0.0) > _FLOOR)
@@ -129,8 +132,11 @@ def drive_of(bag: Path, run: Run) -> Drive:
     index = max(0, int(np.searchsorted(odometry.stamp, first, side="right")) - 1)
     start = int(odometry.stamp[index])
     # A path that came after the first odometry is projected on from the first one.
-    in_force = np.searchsorted(clock.stamps(path_times), odometry.stamp, side="right") - 1
-    in_force = np.clip(in_force, 0, len(paths) - 1)
+    in_force = np.searchsorted(clock.stamps(route_times), odometry.stamp, side="right") - 1
+    in_force = np.clip(in_force, 0, len(routes) - 1)
+    poses = odometry.values[:, :3]
+    segment_of_pose = _segments(routes, in_force, poses, odometry.values[:, 3])
+    segments = tuple(itertools.chain.from_iterable(route.segments for route in routes))
     return Drive(
         name=bag.name or str(bag),
         run=run,
@@ -138,9 +144,9 @@ def drive_of(bag: Path, run: Run) -> Drive:
         start=start,
         end=float((last - start) * 1e-9),
         odometry=_timed(odometry, start),
-        projection=_projection(paths, in_force, odometry.values[:, :3]),
-        paths=paths,
-        path_of_pose=in_force,
+        projection=_projection(segments, segment_of_pose, poses),
+        segments=segments,
+        segment_of_pose=segment_of_pose,
         commands=_timed(commands, start),
         latency=_latency(run.series["odom"], _between(commands, first, last), notes),
         learner=_learner(run, clock, start),
@@ -170,32 +176,47 @@ def _sound(values: FloatArray) -> np.ndarray:
     return np.asarray((np.abs(values) < _GREATEST).all(axis=1))  # NaN is not below, either
 
 
-def _paths(bag: Path, run: Run, notes: list[str]) -> tuple[tuple[FollowedPath, ...], np.ndarray]:
-    """Return the paths that can be followed, and when each arrived [ns]."""
+def _routes(bag: Path, run: Run, notes: list[str]) -> tuple[list[Route], np.ndarray]:
+    """Return the routes that can be followed, and when their paths arrived [ns]."""
     if not run.paths:
         raise FileError(f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path")
-    paths, times, problem = [], [], ""
-    routes = RecordedRoutes(run, None)
+    routes, times, problem = [], [], ""
+    recorded = RecordedRoutes(run, None)
     for number, (time, poses) in enumerate(run.paths):
         if not len(poses):  # how planners take a path back
             continue
         try:
-            paths.append(routes.single_path(number))
+            routes.append(recorded.followed(number))
             times.append(time)
         except AdpError as error:
             problem = str(error)
             notes.append(f"a path was passed over: {problem}")
-    if not paths:
+    if not routes:
         raise FileError(f"bag {bag} has no path that can be followed: {problem or 'it is empty'}")
-    return tuple(paths), np.array(times, dtype=np.int64)
+    return routes, np.array(times, dtype=np.int64)
+
+
+def _segments(
+    routes: list[Route], in_force: np.ndarray, poses: FloatArray, speed: FloatArray
+) -> np.ndarray:
+    """Return which of all segments is driven at each pose, shape (N,)."""
+    found = np.zeros(len(poses), dtype=np.intp)
+    first = 0
+    for number, route in enumerate(routes):
+        chosen = in_force == number
+        found[chosen] = first + segments_driven(route, poses[chosen], speed[chosen])
+        first += len(route.segments)
+    return found
 
 
 def _projection(
-    paths: tuple[FollowedPath, ...], in_force: np.ndarray, poses: FloatArray
+    segments: tuple[Segment, ...], segment_of_pose: np.ndarray, poses: FloatArray
 ) -> Projection:
-    parts = [
-        project(paths[number], poses[in_force == number]) for number in np.unique(in_force).tolist()
-    ]
+    parts = []
+    for number in np.unique(segment_of_pose).tolist():
+        segment = segments[number]
+        driven = poses[segment_of_pose == number]
+        parts.append(project(segment.path, segment.heading_of_path(driven)))
     return Projection(
         np.concatenate([part.arc_length for part in parts]),
         np.concatenate([part.cross_track for part in parts]),

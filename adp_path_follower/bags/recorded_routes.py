@@ -7,11 +7,11 @@ from dataclasses import replace
 from adp_path_follower.bags.configuration import Configuration, parse_configuration
 from adp_path_follower.bags.path_message import transformed
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.core.errors import AdpError, FileError, PathError
+from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.path_preparation import prepare
-from adp_path_follower.core.route import Route
+from adp_path_follower.core.route import Route, route_of
 from adp_path_follower.core.settings import PathSettings, Settings
 
 
@@ -41,21 +41,18 @@ class RecordedRoutes:
         poses = [poses for poses in self._poses if len(poses)]
         return _route(poses[-1], settings.path, ())
 
-    def single_path(self, number: int) -> Path:
-        """Return a path of the run as it was followed, else as its points have it.
+    def followed(self, number: int) -> Route:
+        """Return the route of a path of the run as it was followed, else as its points have it.
 
         Raises:
-            PathError: It is none that can be followed, or one of several segments.
+            PathError: It is none that can be followed.
 
         """
         for change in self._changes:
             route = self._made(number, change.settings.path, change.transform)
-            if route is None or change.path_digest != route.digest():
-                continue
-            if len(route.segments) > 1 or route.segments[0].reverse:
-                raise PathError("it is driven backwards, or in segments: use adp replay")
-            return route.segments[0].path
-        return Path.from_points(self._poses[number][:, :2])
+            if route is not None and change.path_digest == route.digest():
+                return route
+        return route_of(Path.from_points(self._poses[number][:, :2]))
 
     def of(self, change: Configuration) -> Route | None:
         """Return the route that a configuration names, None if it names none.

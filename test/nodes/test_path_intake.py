@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import serialize_message
 
+from adp_path_follower.analysis.drive import drive_of
 from adp_path_follower.bags.cdr import CdrError
 from adp_path_follower.bags.path_message import is_empty, read_path, transformed
 from adp_path_follower.bags.reader import read_run
@@ -275,5 +276,10 @@ def test_a_route_is_driven_backwards_and_replays(peer, start, tmp_path):
     assert "2 segments, 1 of them in reverse" in controller.output()
     controller.stop()
     recorder.stop()
-    _, found = replayed(tmp_path / "bag")
+    run, found = replayed(tmp_path / "bag")
     assert found.replayed[:, 0].min() < -0.1
+    drive = drive_of(tmp_path / "bag", run)
+    assert [segment.reverse for segment in drive.segments] == [False, True]
+    assert set(drive.segment_of_pose) == {0, 1}
+    assert np.abs(drive.projection.cross_track[drive.driving]).max() < 0.05
+    assert not any("passed over" in note for note in drive.notes)

@@ -1,0 +1,73 @@
+"""Which segment of a route a recorded robot was driving, from its poses alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.route import Route
+
+_SPACING = 0.02  # [m] of the places that poses are compared with
+
+
+def segments_driven(route: Route, poses: FloatArray, speed: FloatArray) -> np.ndarray:
+    """Return the number of the segment that each pose belongs to, shape (N,).
+
+    Segments are driven in their order, so the numbers never fall; of all such numbers these are
+    nearest to the poses, by squared distances summed up over the way that was driven. The direction
+    of motion counts as the heading does in `Path.nearest`, for there and back may be the same way.
+
+    Args:
+        route: The route.
+        poses: x [m], y [m], theta [rad] in order of time, shape (N, 3).
+        speed: v [m/s], negative backwards, shape (N,).
+
+    """
+    if len(route.segments) == 1 or not len(poses):
+        return np.zeros(len(poses), dtype=np.intp)
+    features = _features(poses + np.pi * (speed < 0.0)[:, None] * [0.0, 0.0, 1.0])
+    squared = [_tree(segment.path).query(features)[0] ** 2 for segment in route.segments]
+    driven = np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T)
+    return _monotone(driven[:, None] * np.column_stack(squared))
+
+
+def _tree(path: Path) -> cKDTree:
+    count = max(2, math.ceil(path.length / _SPACING) + 1)
+    return cKDTree(_features(path.frame(np.linspace(0.0, path.length, count)).pose))
+
+
+def _features(poses: FloatArray) -> FloatArray:
+    """Return x, y, cos and sin of the heading, so weighted that distances are `Path.nearest`'s."""
+    share = math.sqrt(0.5)
+    heading = poses[:, 2]
+    return np.column_stack([poses[:, :2], share * np.cos(heading), share * np.sin(heading)])
+
+
+def _monotone(costs: FloatArray) -> np.ndarray:
+    """Return for each row of costs (N, K) a column, never falling, of the least sum, (N,).
+
+    By dynamic programming over the columns: the rows up to i with the last of them in column k cost
+    least if those from some row j on are in it, and those before are as cheap as may be without it.
+    """
+    rows, columns = costs.shape
+    total = np.vstack([np.zeros(columns), np.cumsum(costs, axis=0)])  # of the rows before each
+    # Least cost of the rows before each with the columns up to k, and with at least one in k.
+    best = np.full((rows + 1, columns + 1), np.inf)
+    best[0] = 0.0
+    own = np.full((rows + 1, columns), np.inf)
+    for column in range(columns):
+        changes = best[:-1, column] - total[:-1, column]  # to this column, by the row it begins at
+        own[1:, column] = total[1:, column] + np.minimum.accumulate(changes)
+        best[1:, column + 1] = np.minimum(best[1:, column], own[1:, column])
+    found = np.empty(rows, dtype=np.intp)
+    stop = rows
+    for column in reversed(range(columns)):
+        if stop and own[stop, column] < best[stop, column]:
+            begin = int(np.argmin(best[:stop, column] - total[:stop, column]))
+            found[begin:stop] = column
+            stop = begin
+    return found
