@@ -23,22 +23,20 @@ import numpy as np
 from adp_path_follower.core.bellman import BellmanErrors
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.knot_memory import KnotMemory
-from adp_path_follower.core.knot_model import KnotFit, KnotModel, NormalEquations, fit
+from adp_path_follower.core.knot_model import KnotFit, KnotModel, NormalEquations
+from adp_path_follower.core.knot_teacher import KnotTeacher
 from adp_path_follower.core.learner import (
     LearnedWeights,
     Learner,
     LocalWeights,
+    actor_bound,
     follow,
-    relax,
 )
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile
 
-_MOST_SPREAD = 500  # knots between robots of a batch that learn together
-_MOST_RESIDUAL = 0.5  # of the running cost: a critic that explains less is refused
-_LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular matrix
 MODEL_SETTINGS = (  # that decide what is learned
     "basis",
     "basis_degree",
@@ -53,9 +51,9 @@ MODEL_SETTINGS = (  # that decide what is learned
 
 
 class ArcLengthLearner:
-    """Learns the weights at the knots ahead of the robot, or of a batch of robots.
+    """Learns the weights at the knots ahead of the robot.
 
-    A batch shares the weights: samples know nothing of the robot, so each would learn the same.
+    `FleetLearner` does the same for each robot of a batch.
 
     Attributes:
         problem: Why the Riccati policy has taken over somewhere, empty if it has not.
@@ -68,26 +66,22 @@ class ArcLengthLearner:
         path: Path,
         riccati: RiccatiSchedule,
         profile: SpeedProfile | None = None,
+        memory: KnotMemory | None = None,
     ) -> None:
-        """Start from the initial weights of the settings everywhere."""
+        """Start from the initial weights of the settings everywhere, kept in a memory."""
         learning = settings.learning
         self._settings, self._learning, self._path = settings, learning, path
         self._profile = profile if profile is not None else SpeedProfile(path, settings)
         self._size = len(learning.value_basis.labels)
-        # Of the actor's projection: it never comes between the robot and its safe policy.
-        safe = learning.value_basis.quadratic_weights(riccati.table)
-        self._bound = max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
-        self._memory = KnotMemory(settings, path, riccati, self._profile)
+        self._bound = actor_bound(learning, riccati)
+        self._memory = memory or KnotMemory(settings, path, riccati, self._profile)
         self._spacing, self._window = self._memory.spacing, self._memory.window
         self._model = KnotModel(settings, self._spacing, self._profile.varies)
+        self._teacher = KnotTeacher(learning, len(self._model), self._memory)
         self.reset()
 
     def reset(self, where: np.ndarray | None = None) -> None:
-        """Return to the initial weights; of a batch, whose weights are shared, only as a whole.
-
-        Robots of a batch where (...) is true are lost: nothing is learned where they are.
-        """
-        self._lost = where
+        """Return to the initial weights; what robots share stays if only some (...) are lost."""
         if where is not None:
             return
         self._memory.reset()
@@ -139,20 +133,12 @@ class ArcLengthLearner:
         return min(at_once, all_samples) if rough and at_once > self._size else all_samples
 
     def _span(self, arc_length: FloatArray) -> tuple[int, int]:
-        """Return the knot behind the last robot and the one ahead of the first.
-
-        Robots far from most, such as one that is lost, are left to the initial weights.
-        """
+        """Return the knot behind the last robot and the one ahead of the first."""
         place = self._memory.position(arc_length)
         if place.size == 1:
             knot = math.floor(place.item())
             return knot, knot + 1
-        known = np.isfinite(arc_length)
-        if self._lost is not None:
-            known = known & ~self._lost
-        place = place[known] if known.any() else np.zeros(1)
-        together = place[np.abs(place - np.median(place)) <= _MOST_SPREAD]
-        return math.floor(together.min()), math.floor(together.max()) + 1
+        return math.floor(place.min()), math.floor(place.max()) + 1
 
     def settle(
         self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
@@ -248,43 +234,17 @@ class ArcLengthLearner:
 
     def _finish(self, equations: NormalEquations) -> None:
         """Take over the critic of the present knot, or the Riccati solution in its place."""
-        memory = self._memory
-        self._latest = fit(equations)
-        refusal = self._refusal(self._latest)
-        if refusal:
+        memory, slot = self._memory, self._slot
+        elapsed = self._time * self._length
+        lesson = self._teacher.lesson(
+            equations, memory.critic[slot], elapsed, self._knot_curvature, self._knot_speed
+        )
+        self._latest = lesson.fit
+        memory.critic[slot] = self._ahead = lesson.critic
+        if lesson.refusal:
             self._refused += 1
-            self.problem = refusal
-            speed = None if self._knot_speed is None else np.array([self._knot_speed])
-            safe = memory.safe(np.array([self._knot_curvature]), speed)[0]
-            memory.critic[self._slot] = memory.actor[self._slot] = self._ahead = safe
-            return
-        critic = self._latest.critic_weights
-        if self._learning.critic == "gradient":
-            critic = self._descended(equations)
-        memory.critic[self._slot] = self._ahead = critic
-
-    def _descended(self, equations: NormalEquations) -> FloatArray:
-        """Return the critic after the gradient law, over the time since the knot's last turn."""
-        gain = self._learning.critic_gain_sampled / len(self._model)
-        critic = self._memory.critic[self._slot]
-        descent = gain * (equations.matrix @ critic + equations.vector)
-        elapsed = min(self._time * self._length, 1e3)
-        return np.asarray(critic - relax(gain * equations.matrix, descent, elapsed))
-
-    def _refusal(self, found: KnotFit) -> str:
-        """Return why a critic is not to be trusted, empty if it is."""
-        bound = self._learning.actor_weight_bound
-        norm = float(np.linalg.norm(found.critic_weights))
-        if not math.isfinite(norm) or found.excitation < _LEAST_EXCITATION:
-            return "the samples do not determine the weights (excitation certificate is zero)"
-        if norm > bound:
-            return f"the critic's weights have norm {norm:.3g}, above actor_weight_bound {bound:g}"
-        if not found.residual <= _MOST_RESIDUAL:
-            return (
-                f"the Bellman errors at the samples are {found.residual:.0%} of the running cost, "
-                f"above {_MOST_RESIDUAL:.0%}"
-            )
-        return ""
+            self.problem = lesson.refusal
+            memory.actor[slot] = lesson.critic
 
     def _follow(self, near: int, far: int, dt: float) -> None:
         """Let the actor follow the critic at the knots from `near` up to `far`."""

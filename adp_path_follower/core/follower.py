@@ -13,6 +13,7 @@ from adp_path_follower.core.arc_length_learner import ArcLengthLearner
 from adp_path_follower.core.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.controller import ControlOutput, RunningCost, VirtualTarget
 from adp_path_follower.core.fallback import Distrust, RiccatiPolicy, is_doubtful
+from adp_path_follower.core.fleet_learner import FleetLearner
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.goal import Goal
 from adp_path_follower.core.learner import Evidence, Learner, LocalWeights, Weights
@@ -130,7 +131,10 @@ class PathFollower:
         self._target = VirtualTarget(path, settings.target, arc_length, self._reference)
         riccati = RiccatiSchedule(path, settings.target, settings.cost, self.profile)
         self._learner: Learner
-        if settings.learning.scheduling == "arc_length":
+        batch = self.arc_length.shape
+        if settings.learning.scheduling == "arc_length" and batch and settings.learning.learning:
+            self._learner = FleetLearner(settings, path, riccati, self.profile, batch)
+        elif settings.learning.scheduling == "arc_length":
             self._learner = ArcLengthLearner(settings, path, riccati, self.profile)
         else:
             self._learner = PathStateLearner(settings, path, riccati, weights, self.profile)
@@ -333,7 +337,7 @@ class PathFollower:
 
     def reconfigured(self, settings: Settings) -> PathFollower:
         """Return a follower with other settings at the same place that has taken over from this."""
-        other = PathFollower(settings, self.path, actuation=self._actuation)
+        other = PathFollower(settings, self.path, self.arc_length, actuation=self._actuation)
         other.take_over(self)
         other._target = self._target.copy(settings.target, other._reference)
         other.cost, other._previous = self.cost, self._previous

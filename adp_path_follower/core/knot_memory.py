@@ -37,6 +37,7 @@ class KnotMemory:
         spacing: h [m].
         window: Number of knots of the preview.
         lap: Number of knots of a lap, if they come round again, else None.
+        size: Number of weights L.
         critic: Critic weights by slot, shape (slots, L).
         actor: Actor weights likewise.
         curvatures: kappa [1/m] at each slot's knot.
@@ -56,12 +57,17 @@ class KnotMemory:
         self.window = max(2, round(learning.preview_distance / self.spacing))
         self._ends = None if path.closed else (-self.window, count + 1 + self.window)
         self.lap = count if path.closed and count <= _MOST_KNOTS else None
-        capacity = min(_MOST_KNOTS, count if path.closed else count + 2 + 2 * self.window)
-        size = len(learning.value_basis.labels)
-        self.critic = np.zeros((capacity, size))
-        self.actor = np.zeros((capacity, size))
-        self.curvatures = np.zeros(capacity)
-        self.speeds = np.zeros(capacity)
+        self.size = len(learning.value_basis.labels)
+        knots = count if path.closed else count + 2 + 2 * self.window
+        self._capacity = min(_MOST_KNOTS, knots)
+        self._lay_out(self._capacity)
+
+    def _lay_out(self, count: int) -> None:
+        """Make room for so many knots; the system gives it where there is something to keep."""
+        self.critic = np.zeros((count, self.size))
+        self.actor = np.zeros((count, self.size))
+        self.curvatures = np.zeros(count)
+        self.speeds = np.zeros(count)
         self.reset()
 
     def reset(self) -> None:
@@ -70,23 +76,38 @@ class KnotMemory:
 
     def slots(self, knots: np.ndarray) -> np.ndarray:
         """Return where knots of any shape are stored, with initial weights if they are new."""
-        if self.lap is not None:
-            slots = number = knots % self.lap
-        else:
-            number = knots
-            if self._ends is not None:
-                number = np.minimum(np.maximum(knots, self._ends[0]), self._ends[1])
-            slots = number % len(self._owner)
+        number = self.number(knots)
+        slots = self._places(number)
         new = self._owner[slots] != number
         if new.any():
-            numbers = np.unique(number[new])
-            places = numbers % len(self._owner)
+            places, first = np.unique(slots[new], return_index=True)
+            numbers = number[new][first]
             curvature, speed = self.curvature(numbers), self.speed(numbers)
             weights = initial_weights(self._learning, self._riccati, curvature, speed)
             self.critic[places], self.actor[places] = weights.critic, weights.actor
             self.curvatures[places], self.speeds[places] = curvature, speed
             self._owner[places] = numbers
         return np.asarray(slots)
+
+    def number(self, knots: np.ndarray) -> np.ndarray:
+        """Return the knots of any shape that stand for knots: round a lap, beyond an end."""
+        if self.lap is not None:
+            return np.asarray(knots % self.lap)
+        if self._ends is not None:
+            return np.asarray(np.minimum(np.maximum(knots, self._ends[0]), self._ends[1]))
+        return knots
+
+    def _places(self, number: np.ndarray) -> np.ndarray:
+        """Return where there is room for knots of any shape."""
+        return np.asarray(number % self._capacity)
+
+    def known_slots(self) -> np.ndarray:
+        """Return the slots that hold a knot, of several robots those of the first, shape (K,)."""
+        return np.flatnonzero(self._owner[: self._capacity] != _NOBODY)
+
+    def forget(self, slots: np.ndarray | slice) -> None:
+        """Let slots be of knots that have initial weights."""
+        self._owner[slots] = _NOBODY
 
     def renew(self, knots: np.ndarray) -> None:
         """Return to the initial weights at those of the knots (K,) whose are not finite."""
@@ -133,10 +154,14 @@ class KnotMemory:
         basis = self._learning.value_basis
         return basis.quadratic_weights(self._riccati.matrix(curvature, speed))
 
+    def ends(self, knots: np.ndarray) -> FloatArray:
+        """Return what is ahead of sweeps from knots (K,), the Riccati solution, shape (K, L)."""
+        return self.safe(self.curvature(knots), self.speed(knots))
+
     def learned(self, reach: int) -> LearnedWeights:
         """Return the weights at the knots where something was learned; reach is a sweep's."""
-        known = (self._owner != _NOBODY) & self._sound(self.critic, self.actor)
-        slots = np.flatnonzero(known)
+        slots = self.known_slots()
+        slots = slots[self._sound(self.critic[slots], self.actor[slots])]
         knots = self._owner[slots]
         if self._path.closed:  # every lap begins anew
             knots = knots % max(1, round(self._path.length / self.spacing))
@@ -175,13 +200,19 @@ class KnotMemory:
             return "they were learned along a path that bends elsewhere than this one"
         if not np.allclose(self.speed(knots), learned.speed, rtol=_SAME_SPEED):
             return "they were learned at other speeds along the path than its profile has now"
-        slots = knots % len(self._owner)
-        if len(np.unique(slots)) < len(knots):
+        if len(np.unique(knots % self._capacity)) < len(knots):
             return "they hold more places of the path than are remembered"
-        self._owner[slots] = knots
-        self.curvatures[slots], self.speeds[slots] = learned.curvature, learned.speed
-        self.critic[slots], self.actor[slots] = learned.critic, learned.actor
+        self.take(learned)
         return ""
+
+    def take(self, learned: LearnedWeights) -> None:
+        """Take the weights of a run on the same path."""
+        slots = self._places(learned.knots[:, None])
+        self._owner[slots] = learned.knots[:, None]
+        self.curvatures[slots] = learned.curvature[:, None]
+        self.speeds[slots] = learned.speed[:, None]
+        self.critic[slots] = learned.critic[:, None]
+        self.actor[slots] = learned.actor[:, None]
 
     @staticmethod
     def _sound(critic: FloatArray, actor: FloatArray) -> np.ndarray:

@@ -87,14 +87,11 @@ class Evidence(Protocol):
 
 
 class Learner(Protocol):
-    """Learns the value function, and the policy from it.
+    """Learns the value function, and the policy from it."""
 
-    Attributes:
-        problem: Why the safe policy has taken over, empty if it has not.
-
-    """
-
-    problem: str
+    @property
+    def problem(self) -> str:
+        """Return why the safe policy has taken over, empty if it has not."""
 
     @property
     def sampled(self) -> Evidence:
@@ -129,6 +126,15 @@ class Learner(Protocol):
 
     def reset(self, where: np.ndarray | None = None) -> None:
         """Return to the initial weights, of the runs of a batch where (...) is true."""
+
+
+def actor_bound(learning: LearningSettings, riccati: RiccatiSchedule) -> float:
+    """Return the norm that the actor's projection keeps Wa below.
+
+    The projection never comes between the robot and its safe policy, the Riccati solution.
+    """
+    safe = learning.value_basis.quadratic_weights(riccati.table)
+    return max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
 
 
 def initial_weights(

@@ -95,12 +95,16 @@ class PathStateLearner:
             distance: Unused: the weights are the same everywhere.
 
         """
+        settled = np.zeros((), bool)
         for _ in range(_REST_STEPS):
             before = self.weights
             self.learn(measure(), arc_length, _REST_STEP)
-            change = np.abs(self.weights.critic - before.critic).max()
-            change = max(change, np.abs(self.weights.actor - before.actor).max())
-            if change < _SETTLED_CHANGE:
+            if settled.any():  # those of a batch whose weights have settled are done
+                self._keep(before, settled)
+            change = np.abs(self.weights.critic - before.critic).max(axis=-1)
+            change = np.maximum(change, np.abs(self.weights.actor - before.actor).max(axis=-1))
+            settled = settled | (change < _SETTLED_CHANGE)
+            if settled.all():
                 return True
         return False
 
@@ -130,8 +134,12 @@ class PathStateLearner:
         if where is None:
             self.weights = self._initial
             return
-        lost = where[..., None]
+        self._keep(self._initial, where)
+
+    def _keep(self, weights: Weights, where: np.ndarray) -> None:
+        """Put weights in the place of the present ones, of the runs where (...) is true."""
+        kept = where[..., None]
         self.weights = Weights(
-            np.where(lost, self._initial.critic, self.weights.critic),
-            np.where(lost, self._initial.actor, self.weights.actor),
+            np.where(kept, weights.critic, self.weights.critic),
+            np.where(kept, weights.actor, self.weights.actor),
         )

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from adp_path_follower.core import arc_length_learner
+from adp_path_follower.core import knot_teacher
 from adp_path_follower.core.arc_length_learner import ArcLengthLearner
 from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
@@ -133,7 +133,7 @@ def test_weights_of_another_path_or_of_another_learner_are_not_taken_over():
 @pytest.mark.parametrize("cause", ["bound", "residual"])
 def test_a_critic_that_is_not_to_be_trusted_leaves_the_riccati_policy(cause, monkeypatch):
     if cause == "residual":
-        monkeypatch.setattr(arc_length_learner, "_MOST_RESIDUAL", 1e-4)
+        monkeypatch.setattr(knot_teacher, "_MOST_RESIDUAL", 1e-4)
     drive = Drive(NARROW_BOUND if cause == "bound" else {})
     drive.steps(150)
     follower = drive.follower

@@ -1,0 +1,53 @@
+"""The weights at the knots of a path for many robots, each with weights of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adp_path_follower.core.knot_memory import KnotMemory
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.riccati import RiccatiSchedule
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import SpeedProfile
+
+
+class FleetMemory(KnotMemory):
+    """What a `KnotMemory` is to one robot, to each of B robots.
+
+    The last axis of knots and of arc lengths is that of the robots. Slots are numbered through:
+    those of the first robot, those of the second, ...
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        path: Path,
+        riccati: RiccatiSchedule,
+        profile: SpeedProfile,
+        robots: int,
+    ) -> None:
+        """Lay the knots along a path, for so many robots."""
+        self._robots = robots
+        super().__init__(settings, path, riccati, profile)
+
+    def _lay_out(self, count: int) -> None:
+        """Make room for so many knots of each robot."""
+        self._first_slots = count * np.arange(self._robots)
+        super()._lay_out(count * self._robots)
+
+    def _places(self, number: np.ndarray) -> np.ndarray:
+        """Return where there is room for knots (..., B), or for those of all robots (..., 1)."""
+        return super()._places(number) + self._first_slots
+
+    def forget_robots(self, robots: np.ndarray) -> None:
+        """Return to the initial weights of the robots (B,) that are true."""
+        knots = np.arange(self._capacity)
+        self.forget((self._first_slots[robots, None] + knots).ravel())
+
+    def copy_from(self, alone: KnotMemory, robots: np.ndarray) -> None:
+        """Take over what is in the memory of a single robot, for robots with indices (n,)."""
+        known = alone.known_slots()
+        slots = self._first_slots[robots, None] + known
+        self._owner[slots] = alone._owner[known]
+        self.curvatures[slots], self.speeds[slots] = alone.curvatures[known], alone.speeds[known]
+        self.critic[slots], self.actor[slots] = alone.critic[known], alone.actor[known]
