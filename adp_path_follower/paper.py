@@ -23,7 +23,8 @@ from adp_path_follower.core.settings import Settings
 from adp_path_follower.optimum.collocation import OptimumSolver
 from adp_path_follower.optimum.costate import solve_costates
 from adp_path_follower.shared_files import config_file
-from adp_path_follower.simulation import PAPER_START, Trajectories, simulate
+from adp_path_follower.simulation import PAPER_START, simulate
+from adp_path_follower.trajectories import Trajectories
 
 DURATION = 40.0  # [s] of the comparison
 LONG_DURATION = 600.0  # [s] after which the unlearning shows

@@ -15,7 +15,8 @@ from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.simulation import Trajectories, simulate
+from adp_path_follower.simulation import simulate
+from adp_path_follower.trajectories import Trajectories
 from sim_unicycle.settings import PlantSettings
 
 _SLOW_ROBOT: dict[str, object] = {"max_linear_vel": 0.6, "max_angular_vel": 1.5}

@@ -17,7 +17,7 @@ from adp_path_follower.bags.reader import Run
 from adp_path_follower.bags.replay import Replay
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.simulation import Trajectories
+from adp_path_follower.trajectories import Trajectories
 
 _TRANSIENT = 15.0  # [s] that the left panels show
 _START = 8.0  # [s] that the close-up of the path shows

@@ -19,7 +19,8 @@ from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile
-from adp_path_follower.simulation import PAPER_START, motion_cost
+from adp_path_follower.motion_cost import MotionCost
+from adp_path_follower.simulation import PAPER_START
 
 COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
 _TRANSIENT = 10.0  # [s] after which the tracking error counts
@@ -156,16 +157,13 @@ def cost_over_horizon(
     """
     if not len(time) or time[-1] < COST_HORIZON - 1e-6:
         return math.nan
-    total, profile = 0.0, SpeedProfile(path, settings)
+    total, motion_cost = 0.0, MotionCost(settings, path, SpeedProfile(path, settings))
     for step in np.flatnonzero(time[:-1] < COST_HORIZON - 1e-6):
         spent, _ = motion_cost(
-            settings,
-            path,
             poses[step],
             commands[step],
             arc_lengths[step],
             float(time[step + 1] - time[step]),
-            profile,
         )
         total += float(spent)
     return total

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, components, unpacked
+from adp_path_follower.core.geometry import FloatArray, unpacked
 
 STATE_LABELS = ("s", "y", "θ", "φ")
 
@@ -147,14 +147,16 @@ class PolynomialBasis:
         """Return sigma and sigma' at states of shape (..., 4)."""
         powers = self._powers(zeta)
         power = powers.take(self._columns, axis=-1)
-        slope = powers.take(self._derivative_columns, axis=-1) * self._factors
+        slope = powers.take(self._derivative_columns, axis=-1)
+        slope *= self._factors
         s, y, theta = (power[..., axis, :] for axis in range(3))
-        by_s, by_y, by_theta = (slope[..., axis, :] for axis in range(3))
+        # sigma' transposed: terms side by side in memory are what products with it are fast for.
+        transposed = np.zeros((*zeta.shape[:-1], len(STATE_LABELS), len(self._exponents)))
         position = s * y
-        gradient = components(
-            by_s * y * theta, s * by_y * theta, position * by_theta, np.zeros_like(s)
-        )
-        return position * theta, gradient
+        np.multiply(slope[..., 0, :], y * theta, out=transposed[..., 0, :])
+        np.multiply(slope[..., 1, :], s * theta, out=transposed[..., 1, :])
+        np.multiply(slope[..., 2, :], position, out=transposed[..., 2, :])
+        return position * theta, np.swapaxes(transposed, -1, -2)
 
     def _powers(self, zeta: FloatArray) -> FloatArray:
         """Return e to the powers 0, 1, ..., degree, variable by variable, (..., 3 (degree + 1))."""
@@ -205,13 +207,14 @@ class HalfAngleBasis:
         """Return sigma and sigma' at states of shape (..., 4)."""
         turned, cos, sin = _half_angle(zeta)
         value, inner = self._basis.value_and_gradient(turned)
-        jacobian = np.zeros((*cos.shape, 4, 4))  # of (a, b, theta, phi) by (s, y, theta, phi)
-        jacobian[..., 0, 0] = jacobian[..., 1, 1] = cos
-        jacobian[..., 0, 1], jacobian[..., 1, 0] = sin, -sin
-        jacobian[..., 0, 2] = 0.5 * turned[..., 1]
-        jacobian[..., 1, 2] = -0.5 * turned[..., 0]
+        jacobian = np.zeros((*cos.shape, 4, 4))  # of (a, b, theta, phi) by (s, y, theta, phi), ...
+        jacobian[..., 0, 0] = jacobian[..., 1, 1] = cos  # ... transposed, as what it multiplies
+        jacobian[..., 1, 0], jacobian[..., 0, 1] = sin, -sin
+        jacobian[..., 2, 0] = 0.5 * turned[..., 1]
+        jacobian[..., 2, 1] = -0.5 * turned[..., 0]
         jacobian[..., 2, 2] = jacobian[..., 3, 3] = 1.0
-        return value, np.matmul(inner, jacobian)
+        product = np.matmul(jacobian, np.swapaxes(inner, -1, -2))
+        return value, np.swapaxes(product, -1, -2)
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""

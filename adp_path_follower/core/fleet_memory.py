@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adp_path_follower.core.knot_memory import KnotMemory
+from adp_path_follower.core.knot_memory import NOBODY, KnotMemory
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
@@ -14,8 +14,8 @@ from adp_path_follower.core.speed_profile import SpeedProfile
 class FleetMemory(KnotMemory):
     """What a `KnotMemory` is to one robot, to each of B robots.
 
-    The last axis of knots and of arc lengths is that of the robots. Slots are numbered through:
-    those of the first robot, those of the second, ...
+    The last axis of knots and of arc lengths is that of the robots. Slots are numbered knot by
+    knot, for all robots each: so memory is taken only for knots that some robot has been near.
     """
 
     def __init__(
@@ -32,22 +32,28 @@ class FleetMemory(KnotMemory):
 
     def _lay_out(self, count: int) -> None:
         """Make room for so many knots of each robot."""
-        self._first_slots = count * np.arange(self._robots)
+        self._numbers = np.arange(self._robots)
         super()._lay_out(count * self._robots)
 
     def _places(self, number: np.ndarray) -> np.ndarray:
         """Return where there is room for knots (..., B), or for those of all robots (..., 1)."""
-        return super()._places(number) + self._first_slots
+        return np.asarray(super()._places(number) * self._robots + self._numbers)
+
+    def known_slots(self) -> np.ndarray:
+        """Return the slots in which the first robot has a knot, shape (K,)."""
+        slots = super().known_slots()
+        return np.asarray(slots[slots % self._robots == 0])
 
     def forget_robots(self, robots: np.ndarray) -> None:
         """Return to the initial weights of the robots (B,) that are true."""
-        knots = np.arange(self._capacity)
-        self.forget((self._first_slots[robots, None] + knots).ravel())
+        self._owner.reshape(self._capacity, self._robots)[:, robots] = NOBODY
 
     def copy_from(self, alone: KnotMemory, robots: np.ndarray) -> None:
         """Take over what is in the memory of a single robot, for robots with indices (n,)."""
         known = alone.known_slots()
-        slots = self._first_slots[robots, None] + known
-        self._owner[slots] = alone._owner[known]
-        self.curvatures[slots], self.speeds[slots] = alone.curvatures[known], alone.speeds[known]
-        self.critic[slots], self.actor[slots] = alone.critic[known], alone.actor[known]
+        slots = known[:, None] * self._robots + robots
+        self._owner[slots] = alone._owner[known, None]
+        self.curvatures[slots] = alone.curvatures[known, None]
+        self.speeds[slots] = alone.speeds[known, None]
+        self.critic[slots] = alone.critic[known, None]
+        self.actor[slots] = alone.actor[known, None]

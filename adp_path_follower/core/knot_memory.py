@@ -24,7 +24,7 @@ _NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvatu
 _SAME_LENGTH = 1e-4  # relative, and ...
 _SAME_CURVATURE = 1e-3  # ... [1/m], and relative: a path that differs less is the same
 _SAME_SPEED = 1e-3  # relative
-_NOBODY = np.iinfo(np.int64).min
+NOBODY = np.iinfo(np.int64).min  # who owns a slot that holds no knot
 
 
 class KnotMemory:
@@ -72,7 +72,7 @@ class KnotMemory:
 
     def reset(self) -> None:
         """Return to the initial weights everywhere."""
-        self._owner = np.full(len(self.critic), _NOBODY)  # the knot that each slot holds
+        self._owner = np.full(len(self.critic), NOBODY)  # the knot that each slot holds
 
     def slots(self, knots: np.ndarray) -> np.ndarray:
         """Return where knots of any shape are stored, with initial weights if they are new."""
@@ -102,17 +102,13 @@ class KnotMemory:
         return np.asarray(number % self._capacity)
 
     def known_slots(self) -> np.ndarray:
-        """Return the slots that hold a knot, of several robots those of the first, shape (K,)."""
-        return np.flatnonzero(self._owner[: self._capacity] != _NOBODY)
-
-    def forget(self, slots: np.ndarray | slice) -> None:
-        """Let slots be of knots that have initial weights."""
-        self._owner[slots] = _NOBODY
+        """Return the slots that hold a knot, shape (K,)."""
+        return np.flatnonzero(self._owner != NOBODY)
 
     def renew(self, knots: np.ndarray) -> None:
         """Return to the initial weights at those of the knots (K,) whose are not finite."""
         slots = self.slots(knots)
-        self._owner[slots[~self._sound(self.critic[slots], self.actor[slots])]] = _NOBODY
+        self._owner[slots[~self._sound(self.critic[slots], self.actor[slots])]] = NOBODY
         self.slots(knots)
 
     def position(self, arc_length: FloatArray) -> FloatArray:

@@ -251,7 +251,7 @@ def test_weights_are_linear_between_knots_and_their_slope_says_so():
         assert np.abs(found.slope).max() > 0.0
 
 
-def test_robots_of_a_batch_share_what_is_learned():
+def test_robots_of_a_batch_at_one_place_learn_the_same():
     path = PATHS["figure eight"]
     alone = PathFollower(build(Settings, SMALL), path, 3.0)
     together = PathFollower(build(Settings, SMALL), path, np.full((2, 2), 3.0))

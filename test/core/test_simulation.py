@@ -172,7 +172,7 @@ def test_three_starts_at_once_are_three_runs(paper, figure_eight, learning, limi
 def test_more_starts_than_a_block_keep_their_order(tuning, figure_eight):
     starts = np.random.default_rng(1).uniform(-0.5, 0.5, (300, 3))
     options = {"duration": 0.1, "rate": 50.0}
-    together = simulate(tuning, figure_eight, starts, **options)
+    together = simulate(tuning, figure_eight, starts, at_once=128, **options)
     np.testing.assert_array_equal(together.starts, starts)
     assert together.cost.shape == (300,)
     for index in (0, 127, 128, 255, 256, 299):

@@ -1,0 +1,100 @@
+"""What happened along simulated runs, step by step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.controller import ControlOutput
+from adp_path_follower.core.follower import FollowerOutput
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learner import Weights
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """What happened at each of the T control steps of B runs.
+
+    Attributes:
+        time: Time since the start [s], shape (T,).
+        pose: True pose, shape (B, T, 3).
+        error: e = [s, y, theta], shape (B, T, 3).
+        arc_length: s_p [m], shape (B, T).
+        command: [v, w], shape (B, T, 2).
+        modified_input: u = [v_e, w_e], shape (B, T, 2).
+        critic_weights: Wc, shape (B, T, L); L = 0 for controllers without.
+        actor_weights: Wa, shape (B, T, L).
+        bellman_error: delta at the state, shape (B, T); NaN for controllers without.
+
+    """
+
+    time: FloatArray
+    pose: FloatArray
+    error: FloatArray
+    arc_length: FloatArray
+    command: FloatArray
+    modified_input: FloatArray
+    critic_weights: FloatArray
+    actor_weights: FloatArray
+    bellman_error: FloatArray
+
+
+class TrajectoryRecorder:
+    """Takes down what happens, block of runs by block."""
+
+    def __init__(self, runs: int, steps: int, period: float) -> None:
+        """Expect so many runs of so many control steps, a period [s] apart."""
+        self._runs, self._steps, self._period = runs, steps, period
+        self._arrays: dict[str, FloatArray] = {}
+
+    def note(self, first_run: int, step: int, output: ControlOutput, pose: FloatArray) -> None:
+        """Take down a step of some runs.
+
+        Args:
+            first_run: Number of the first of them.
+            step: Number of the step.
+            output: Of the controller, for n runs.
+            pose: Where they are, shape (n, 3).
+
+        """
+        weights = weights_of(output)
+        values = {
+            "pose": pose,
+            "error": output.error,
+            "arc_length": output.arc_length,
+            "command": output.command,
+            "modified_input": output.modified_input,
+            "critic_weights": weights.critic,
+            "actor_weights": weights.actor,
+            "bellman_error": _bellman_error(output),
+        }
+        runs = slice(first_run, first_run + len(pose))
+        for name, value in values.items():
+            if name not in self._arrays:
+                self._arrays[name] = np.empty((self._runs, self._steps, *value.shape[1:]))
+            self._arrays[name][runs, step] = value
+
+    def trajectories(self) -> Trajectories:
+        """Return what was taken down of all runs."""
+        time = np.arange(self._steps, dtype=float) * self._period
+        return Trajectories(time=time, **self._arrays)
+
+
+def weights_of(output: ControlOutput) -> Weights:
+    """Return the weights of an output, one set for each run, shape (B, L) each."""
+    if not isinstance(output, FollowerOutput):
+        none = np.zeros((len(output.error), 0))
+        return Weights(none, none)
+
+    def repeated(values: FloatArray) -> FloatArray:
+        return np.broadcast_to(values, (len(output.error), values.shape[-1]))
+
+    return Weights(repeated(output.weights.critic), repeated(output.weights.actor))
+
+
+def _bellman_error(output: ControlOutput) -> FloatArray:
+    if not isinstance(output, FollowerOutput):
+        return np.full(len(output.error), math.nan)
+    return output.bellman_error
