@@ -125,9 +125,10 @@ def simulate(
     size = _block_size(settings, path, duration) if at_once is None else at_once
     steps, period = round(duration * rate), 1.0 / rate
     recorder = TrajectoryRecorder(len(errors), steps + 1, period) if record else None
-    results = []
     frame = path.frame(np.full(1, start_arc_length)).pose
-    for first in range(0, len(errors), size):
+
+    def outcome(first: int) -> SimulationResult:
+        """Return the outcome of a block; nothing else of it is kept."""
         block = errors[first : first + size]
         robot = Unicycle(pose_in_frame(block, frame), plant or PlantSettings(), first)
         follower = controller(settings, path, np.full(len(block), start_arc_length))
@@ -135,16 +136,18 @@ def simulate(
             ahead = duration * settings.target.desired_speed + _WARM_MARGIN
             follower.learn_at_rest(robot.pose, ahead)
 
-        def note(step: int, output: ControlOutput, pose: FloatArray, first: int = first) -> None:
+        def note(step: int, output: ControlOutput, pose: FloatArray) -> None:
             if recorder is not None:
                 recorder.note(first, step, output, pose)
 
-        def report(fraction: float, first: int = first, count: int = len(block)) -> None:
+        def report(fraction: float) -> None:
             if progress is not None:
-                progress((first + fraction * count) / len(errors))
+                progress((first + fraction * len(block)) / len(errors))
 
         loop = _ClosedLoop(settings, path, block, follower, robot, faults)
-        results.append(loop.run(steps, period, note, report))
+        return loop.run(steps, period, note, report)
+
+    results = [outcome(first) for first in range(0, len(errors), size)]
     return _joined(results, None if recorder is None else recorder.trajectories())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import click
@@ -91,7 +92,7 @@ def simulate(
         adp simulate --params config/paper.yaml --duration 40
     Its initial weights, without learning:
         adp simulate --params config/paper.yaml --duration 40 --learning frozen
-    A thousand starts:
+    A thousand starts, all at once:
         adp simulate --starts starts.csv --json runs.json
     A robot with 50 ms delay, and a push:
         adp simulate --sim-set command_delay=0.05 --sim-set fault_script=push
@@ -104,6 +105,7 @@ def simulate(
     make_controller: ControllerFactory = PathFollower
     if weights_file is not None:
         make_controller = _starting_from(weights_file, settings)
+    begun = time.perf_counter()
     with progress_bar(f"simulating {len(errors)} runs of {duration:g} s") as progress:
         result = run_simulation(
             settings,
@@ -119,12 +121,18 @@ def simulate(
             record=npz_file is not None,
             progress=progress,
         )
+    elapsed = time.perf_counter() - begun
     if json_file is not None:
         write_json(json_file, {"runs": _runs(result)})
     if npz_file is not None and result.trajectories is not None:
         arrays = dict(vars(result.trajectories))
         np.savez_compressed(npz_file, starts=result.starts, **arrays)
     click.echo(_table(result))
+    simulated = len(errors) * duration
+    click.echo(
+        f"simulated {simulated:g} s in {elapsed:.1f} s: {simulated / elapsed:.0f} s each second",
+        err=True,
+    )
 
 
 def _starting_from(file: Path, settings: Settings) -> ControllerFactory:
