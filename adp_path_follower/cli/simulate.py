@@ -130,7 +130,7 @@ def simulate(
     click.echo(_table(result))
     simulated = len(errors) * duration
     click.echo(
-        f"simulated {simulated:g} s in {elapsed:.1f} s: {simulated / elapsed:.0f} s each second",
+        f"simulated {simulated:g} s in {elapsed:.1f} s: {simulated / elapsed:.0f} simulated seconds per second",
         err=True,
     )
 

@@ -131,8 +131,8 @@ class PathFollower:
         self._target = VirtualTarget(path, settings.target, arc_length, self._reference)
         riccati = RiccatiSchedule(path, settings.target, settings.cost, self.profile)
         self._learner: Learner
-        batch = self.arc_length.shape
-        if settings.learning.scheduling == "arc_length" and batch and settings.learning.learning:
+        batch, learns = self.arc_length.shape, settings.learning.learning
+        if settings.learning.scheduling == "arc_length" and learns and self.arc_length.size > 1:
             self._learner = FleetLearner(settings, path, riccati, self.profile, batch)
         elif settings.learning.scheduling == "arc_length":
             self._learner = ArcLengthLearner(settings, path, riccati, self.profile)
