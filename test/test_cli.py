@@ -100,6 +100,8 @@ def test_starts_from_a_file_are_kept_in_order(tmp_path):
     ratio = np.array([run["cost"] for run in runs]) / np.array(
         OPTIMUM["forty_starts"]["line"]["costs"]
     )
+    speed = re.search(r"simulated 1200 s in ([\d.]+) s: (\d+) simulated seconds per", done.stderr)
+    assert float(speed[2]) == pytest.approx(1200.0 / float(speed[1]), rel=0.3)
     # The default weights are the Riccati solution: never below the optimum, near it on most.
     assert ratio.min() > 1.0
     assert np.median(ratio) < 1.05

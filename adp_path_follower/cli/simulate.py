@@ -128,11 +128,13 @@ def simulate(
         arrays = dict(vars(result.trajectories))
         np.savez_compressed(npz_file, starts=result.starts, **arrays)
     click.echo(_table(result))
-    simulated = len(errors) * duration
-    click.echo(
-        f"simulated {simulated:g} s in {elapsed:.1f} s: {simulated / elapsed:.0f} simulated seconds per second",
-        err=True,
-    )
+    click.echo(_speed(len(errors) * duration, elapsed), err=True)
+
+
+def _speed(simulated: float, elapsed: float) -> str:
+    """Return how fast so many seconds were simulated."""
+    each = simulated / elapsed
+    return f"simulated {simulated:g} s in {elapsed:.1f} s: {each:.0f} simulated seconds per second"
 
 
 def _starting_from(file: Path, settings: Settings) -> ControllerFactory:

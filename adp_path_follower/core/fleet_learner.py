@@ -33,7 +33,7 @@ from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile
 
-_MOST_LESSONS = 50_000  # that are remembered: 32 MB with 80 weights
+_MOST_LESSONS = 20_000  # that are remembered: 20 MB with 80 weights
 _AT_ONCE = 16  # robots whose actors follow at once: what that takes fits into the caches
 
 
