@@ -31,6 +31,7 @@ from adp_path_follower.core.learner import (
     LocalWeights,
     actor_bound,
     follow,
+    surely_finite,
 )
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.riccati import RiccatiSchedule
@@ -251,7 +252,7 @@ class ArcLengthLearner:
         memory = self._memory
         slots = memory.slots(np.arange(near, far))
         actor, critic = memory.actor[slots], memory.critic[slots]
-        if not (np.isfinite(actor).all() and np.isfinite(critic).all()):
+        if not surely_finite(actor, critic) and not np.isfinite([actor, critic]).all():
             self.problem = "weights are not finite"
             self._refused += 1
             memory.renew(np.arange(near, far))

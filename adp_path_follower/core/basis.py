@@ -3,13 +3,104 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, unpacked
+from adp_path_follower.core.geometry import FloatArray, components, cos, numbers, sin
 
 STATE_LABELS = ("s", "y", "θ", "φ")
+Numbers = tuple[FloatArray, ...]  # of shape (...) each, or of one robot
+
+
+@dataclass(frozen=True)
+class HalfTurn:
+    """The half-angle frame at states, numbers of shape (...) each.
+
+    Attributes:
+        a: Position error along the direction half way between path and robot [m].
+        b: Position error across it [m].
+        cos: Of half the heading error.
+        sin: Likewise.
+
+    """
+
+    a: FloatArray
+    b: FloatArray
+    cos: FloatArray
+    sin: FloatArray
+
+    def pulled_back(self, slope: Numbers) -> Numbers:
+        """Return derivatives by (s, y, theta, ...) from those by (a, b, theta, ...)."""
+        by_a, by_b, by_theta, *others = slope
+        return (
+            self.cos * by_a - self.sin * by_b,
+            self.sin * by_a + self.cos * by_b,
+            by_theta + 0.5 * (self.b * by_a - self.a * by_b),
+            *others,
+        )
+
+    def pushed_forward(self, rate: Numbers) -> Numbers:
+        """Return the rates of (a, b, theta, ...) from those of (s, y, theta, ...)."""
+        s_rate, y_rate, turn, *others = rate
+        return (
+            self.cos * s_rate + self.sin * y_rate + 0.5 * self.b * turn,
+            self.cos * y_rate - self.sin * s_rate - 0.5 * self.a * turn,
+            turn,
+            *others,
+        )
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """sigma at states, and sigma' before the chain rule of the frame.
+
+    What is asked of sigma' at the robot are products with weights and with rates. Contracting
+    before the chain rule is applied to three or four numbers, not to L rows of them.
+
+    Attributes:
+        value: sigma, shape (..., L).
+        partials: Derivatives by the basis's own V variables, shape (..., V, L): 3 without phi.
+        frame: The frame of these variables, None if it is that of the states.
+
+    """
+
+    value: FloatArray
+    partials: FloatArray
+    frame: HalfTurn | None = None
+
+    def slope(self, weights: FloatArray) -> Numbers:
+        """Return W^T sigma' for weights (..., L): four numbers of shape (...)."""
+        if self.partials.ndim == 2:
+            slope = numbers(self.partials @ weights)
+        else:
+            slope = numbers(np.matmul(self.partials, weights[..., None])[..., 0])
+        slope = (*slope, 0.0 * slope[0])[:4]
+        return slope if self.frame is None else self.frame.pulled_back(slope)
+
+    def rate(self, zeta_rate: Numbers) -> FloatArray:
+        """Return sigma' zeta' for the rates of the four states, shape (..., L)."""
+        own = zeta_rate if self.frame is None else self.frame.pushed_forward(zeta_rate)
+        own_rate = components(*own[: self.partials.shape[-2]])
+        if own_rate.ndim == 1:
+            return np.asarray(own_rate @ self.partials)
+        return np.asarray(np.matmul(own_rate[..., None, :], self.partials)[..., 0, :])
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Return sigma' written out, shape (..., L, 4)."""
+        partials = np.swapaxes(self.partials, -1, -2)
+        slope = tuple(partials[..., axis] for axis in range(partials.shape[-1]))
+        slope = (*slope, np.zeros_like(slope[0]))[:4]
+        if self.frame is not None:
+            frame = HalfTurn(*(np.asarray(part)[..., None] for part in _fields(self.frame)))
+            slope = frame.pulled_back(slope)
+        return components(*slope)
+
+
+def _fields(frame: HalfTurn) -> Numbers:
+    return frame.a, frame.b, frame.cos, frame.sin
 
 
 class Basis(Protocol):
@@ -29,8 +120,8 @@ class Basis(Protocol):
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
 
-    def value_and_gradient(self, zeta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return sigma and sigma' at states of shape (..., 4), which share their powers."""
+    def expansion(self, zeta: FloatArray) -> Expansion:
+        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
@@ -58,7 +149,8 @@ class QuadraticBasis:
         self._offset = np.zeros((size, count))
         for term, i in enumerate(singles, start=len(products)):
             self._offset[term, i] = 1.0
-        self._flat_slope = self._slope.reshape(size * count, count).T.copy()
+        # sigma' less its offset, variable by variable, is zeta times this.
+        self._flat_slope = self._slope.transpose(2, 1, 0).reshape(count, count * size).copy()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -71,17 +163,18 @@ class QuadraticBasis:
 
     def value(self, zeta: FloatArray) -> FloatArray:
         """Return sigma at states of shape (..., 4), shape (..., L)."""
-        quadratic = 0.5 * np.einsum("...i,lij,...j->...l", zeta, self._slope, zeta)
-        return np.asarray(quadratic + zeta @ self._offset.T)
+        return self.expansion(zeta).value
 
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
-        slope = (zeta @ self._flat_slope).reshape(*zeta.shape[:-1], *self._offset.shape)
-        return np.asarray(slope + self._offset)
+        return self.expansion(zeta).gradient
 
-    def value_and_gradient(self, zeta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return sigma and sigma' at states of shape (..., 4)."""
-        return self.value(zeta), self.gradient(zeta)
+    def expansion(self, zeta: FloatArray) -> Expansion:
+        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
+        offset = self._offset.T
+        slope = (zeta @ self._flat_slope).reshape(*zeta.shape[:-1], *offset.shape)
+        value = np.matmul(zeta[..., None, :], 0.5 * slope + offset)[..., 0, :]
+        return Expansion(value, slope + offset)
 
     @property
     def depends_on_path_state(self) -> bool:
@@ -111,11 +204,15 @@ class PolynomialBasis:
                 for j in range(total - i, -1, -1)
             ]
         )
-        # Where the power of each variable stands in a table of powers, and that of its derivative.
-        first = np.arange(3)[:, None] * (degree + 1)
-        self._columns = first + self._exponents.T
-        self._derivative_columns = first + np.maximum(self._exponents.T - 1, 0)
-        self._factors = self._exponents.T.astype(float)
+        # Where the factors of sigma and of its derivatives by s, y and theta, (4, L), stand in a
+        # table of each variable's powers 0, 1, ... and of their derivatives.
+        size = degree + 1
+        self._factors = [
+            2 * axis * size
+            + self._exponents[:, axis]
+            + size * (np.arange(4) == axis + 1).astype(int)[:, None]
+            for axis in range(3)
+        ]
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -137,33 +234,41 @@ class PolynomialBasis:
 
     def value(self, zeta: FloatArray) -> FloatArray:
         """Return sigma at states of shape (..., 4), shape (..., L)."""
-        return np.asarray(self._powers(zeta).take(self._columns, axis=-1).prod(axis=-2))
+        table, (s, y, theta) = self._powers(zeta), (factor[0] for factor in self._factors)
+        return np.asarray(
+            table.take(s, axis=-1) * table.take(y, axis=-1) * table.take(theta, axis=-1)
+        )
 
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
-        return self.value_and_gradient(zeta)[1]
+        return self.expansion(zeta).gradient
 
-    def value_and_gradient(self, zeta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return sigma and sigma' at states of shape (..., 4)."""
-        powers = self._powers(zeta)
-        power = powers.take(self._columns, axis=-1)
-        slope = powers.take(self._derivative_columns, axis=-1)
-        slope *= self._factors
-        s, y, theta = (power[..., axis, :] for axis in range(3))
-        # sigma' transposed: terms side by side in memory are what products with it are fast for.
-        transposed = np.zeros((*zeta.shape[:-1], len(STATE_LABELS), len(self._exponents)))
-        position = s * y
-        np.multiply(slope[..., 0, :], y * theta, out=transposed[..., 0, :])
-        np.multiply(slope[..., 1, :], s * theta, out=transposed[..., 1, :])
-        np.multiply(slope[..., 2, :], position, out=transposed[..., 2, :])
-        return position * theta, np.swapaxes(transposed, -1, -2)
+    def expansion(self, zeta: FloatArray) -> Expansion:
+        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
+        table = self._powers(zeta)
+        together = table.take(self._factors[0], axis=-1)
+        for factor in self._factors[1:]:
+            together *= table.take(factor, axis=-1)
+        return Expansion(together[..., 0, :], together[..., 1:, :])
 
     def _powers(self, zeta: FloatArray) -> FloatArray:
-        """Return e to the powers 0, 1, ..., degree, variable by variable, (..., 3 (degree + 1))."""
-        powers = np.ones((*zeta.shape[:-1], 3, self.degree + 1))
-        for power in range(1, self.degree + 1):
-            np.multiply(powers[..., power - 1], zeta[..., :3], out=powers[..., power])
-        return powers.reshape(*zeta.shape[:-1], -1)
+        """Return x^k and k x^(k - 1) for k = 0, 1, ... of s, y and theta, (..., 6 (degree + 1))."""
+        if zeta.ndim == 1:
+            table: list[float] = []
+            for error in zeta.tolist()[:3]:
+                powers = [1.0]
+                for _ in range(self.degree):
+                    powers.append(powers[-1] * error)
+                table += powers
+                table += [0.0, *(k * power for k, power in enumerate(powers[:-1], start=1))]
+            return np.array(table)
+        tables = np.ones((*zeta.shape[:-1], 3, 2, self.degree + 1))
+        tables[..., 1, 0] = 0.0
+        for k in range(1, self.degree + 1):
+            lower = tables[..., 0, k - 1]
+            np.multiply(lower, zeta[..., :3], out=tables[..., 0, k])
+            np.multiply(lower, k, out=tables[..., 1, k])
+        return tables.reshape(*zeta.shape[:-1], -1)
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of the value function e^T P e for P (..., 3, 3), shape (..., L)."""
@@ -201,20 +306,13 @@ class HalfAngleBasis:
 
     def gradient(self, zeta: FloatArray) -> FloatArray:
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
-        return self.value_and_gradient(zeta)[1]
+        return self.expansion(zeta).gradient
 
-    def value_and_gradient(self, zeta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return sigma and sigma' at states of shape (..., 4)."""
-        turned, cos, sin = _half_angle(zeta)
-        value, inner = self._basis.value_and_gradient(turned)
-        jacobian = np.zeros((*cos.shape, 4, 4))  # of (a, b, theta, phi) by (s, y, theta, phi), ...
-        jacobian[..., 0, 0] = jacobian[..., 1, 1] = cos  # ... transposed, as what it multiplies
-        jacobian[..., 1, 0], jacobian[..., 0, 1] = sin, -sin
-        jacobian[..., 2, 0] = 0.5 * turned[..., 1]
-        jacobian[..., 2, 1] = -0.5 * turned[..., 0]
-        jacobian[..., 2, 2] = jacobian[..., 3, 3] = 1.0
-        product = np.matmul(jacobian, np.swapaxes(inner, -1, -2))
-        return value, np.swapaxes(product, -1, -2)
+    def expansion(self, zeta: FloatArray) -> Expansion:
+        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
+        turned, frame = _half_angle(zeta)
+        inner = self._basis.expansion(turned)
+        return Expansion(inner.value, inner.partials, frame)
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
@@ -226,15 +324,13 @@ def half_angle_state(zeta: FloatArray) -> FloatArray:
     return _half_angle(zeta)[0]
 
 
-def _half_angle(zeta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the states with a and b for s and y, and cos and sin of half the heading error."""
-    s, y, theta, _ = unpacked(zeta)
+def _half_angle(zeta: FloatArray) -> tuple[FloatArray, HalfTurn]:
+    """Return the states with a and b for s and y, and the frame of these."""
+    s, y, theta, phi = numbers(zeta)
     half = 0.5 * theta
-    cos, sin = np.cos(half), np.sin(half)
-    turned = zeta.copy()
-    turned[..., 0] = s * cos + y * sin
-    turned[..., 1] = y * cos - s * sin
-    return turned, cos, sin
+    ahead, aside = cos(half), sin(half)
+    frame = HalfTurn(s * ahead + y * aside, y * ahead - s * aside, ahead, aside)
+    return components(frame.a, frame.b, theta, phi), frame
 
 
 _CROSS_TERMS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, clamped
 from adp_path_follower.core.path import Path, PathFrame
 from adp_path_follower.core.settings import CostSettings, Settings, TargetSettings
 from adp_path_follower.core.speed_profile import SpeedReference
@@ -112,7 +112,8 @@ class VirtualTarget:
     def _speed(self, arc_length: FloatArray, error: FloatArray) -> FloatArray:
         v_des = self._desired_speed(arc_length)
         speed = error_dynamics.target_speed(error, self._target, v_des)
-        return np.minimum(np.maximum(speed, -self._most_speed), self._most_speed)
+        limited: FloatArray = clamped(speed, -self._most_speed, self._most_speed)
+        return limited
 
 
 class RunningCost:
@@ -125,6 +126,9 @@ class RunningCost:
 
     def __call__(self, error: FloatArray, modified_input: FloatArray) -> FloatArray:
         """Return the running cost of errors (..., 3) and inputs (..., 2), shape (...)."""
+        if error.ndim == modified_input.ndim == 1:
+            state, control = error @ self.state_cost @ error, modified_input @ self.input_cost
+            return np.asarray(state + control @ modified_input)[()]
         state = (error @ self.state_cost * error).sum(axis=-1)
         control = (modified_input @ self.input_cost * modified_input).sum(axis=-1)
         return np.asarray(state + control)

@@ -10,32 +10,40 @@ from __future__ import annotations
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, components, unpacked, wrap_angle
+from adp_path_follower.core.geometry import (
+    FloatArray,
+    components,
+    cos,
+    numbers,
+    sin,
+    tanh,
+    wrap_angle,
+)
 from adp_path_follower.core.settings import TargetSettings
 
 
 def tracking_error(pose: FloatArray, frame_pose: FloatArray) -> FloatArray:
     """Return the error e = [s, y, theta] of a pose in the target's frame, shape (..., 3)."""
-    x, y, robot_heading = unpacked(pose)
-    frame_x, frame_y, heading = unpacked(frame_pose)
+    x, y, robot_heading = numbers(pose)
+    frame_x, frame_y, heading = numbers(frame_pose)
     dx, dy = x - frame_x, y - frame_y
-    cos, sin = np.cos(heading), np.sin(heading)
+    ahead, aside = cos(heading), sin(heading)
     theta = wrap_angle(robot_heading - heading)
-    return components(cos * dx + sin * dy, cos * dy - sin * dx, theta)
+    return components(ahead * dx + aside * dy, ahead * dy - aside * dx, theta)
 
 
 def target_speed(
     error: FloatArray, target: TargetSettings, v_des: FloatArray | None = None
 ) -> FloatArray:
     """Return the virtual target's speed s_p' = v_des cos(theta) + k1 s [m/s], shape (...)."""
-    along, _, theta, *_ = unpacked(error)
+    along, _, theta, *_ = numbers(error)
     speed = target.desired_speed if v_des is None else v_des
-    return speed * np.cos(theta) + target.target_gain * along
+    return speed * cos(theta) + target.target_gain * along
 
 
 def path_state(arc_length: FloatArray, target: TargetSettings) -> FloatArray:
     """Return the compact path state phi = tanh(k2 s_p), same shape."""
-    return np.asarray(np.tanh(target.path_state_gain * arc_length))
+    return tanh(target.path_state_gain * arc_length)
 
 
 def arc_length_of(phi: FloatArray, target: TargetSettings) -> FloatArray:
@@ -47,7 +55,9 @@ def feedforward(
     curvature: FloatArray, target: TargetSettings, v_des: FloatArray | None = None
 ) -> FloatArray:
     """Return the input that keeps a robot on the path, [v_ss, w_ss] = v_des [1, kappa]."""
-    speed = np.full_like(curvature, target.desired_speed if v_des is None else v_des)
+    speed = target.desired_speed if v_des is None else v_des
+    if not isinstance(curvature, float):
+        speed = np.full_like(curvature, speed)
     return components(speed, speed * curvature)
 
 
@@ -66,13 +76,13 @@ def drift(
         v_des: Speed along the path [m/s] at each state's place, shape (...).
 
     """
-    s, y, theta, phi = unpacked(zeta)
+    s, y, theta, phi = numbers(zeta)
     speed = target_speed(zeta, target, v_des)
     along = target.desired_speed if v_des is None else v_des
     # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
     return components(
-        speed * (curvature * y - 1.0) + along * np.cos(theta),
-        along * np.sin(theta) - curvature * s * speed,
+        speed * (curvature * y - 1.0) + along * cos(theta),
+        along * sin(theta) - curvature * s * speed,
         curvature * (along - speed),
         target.path_state_gain * (1.0 - phi * phi) * speed,
     )

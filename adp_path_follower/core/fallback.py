@@ -15,7 +15,7 @@ import numpy as np
 
 from adp_path_follower.core.basis import half_angle_state, make_basis
 from adp_path_follower.core.error_dynamics import input_matrix
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, clamped, where
 from adp_path_follower.core.policy import actor_input, saturate
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
@@ -54,6 +54,8 @@ class RiccatiPolicy:
         """Return q^T P q at states (..., 4), shape (...)."""
         half_angle_error = half_angle_state(zeta)[..., :3]
         matrix = self._riccati.matrix(curvature, v_des)
+        if half_angle_error.ndim == 1:
+            return np.asarray(half_angle_error @ matrix @ half_angle_error)[()]
         pulled = np.matmul(matrix, half_angle_error[..., None])[..., 0]
         return np.asarray((half_angle_error * pulled).sum(axis=-1))
 
@@ -73,18 +75,18 @@ class Distrust:
     def reset(self) -> None:
         """Forget the past: the next decision takes effect at once."""
         self._share: FloatArray | None = None
-        self._trusted_for: FloatArray = np.array(math.inf)
+        self._trusted_for: FloatArray = np.array(math.inf)[()]
 
     def share(self, doubtful: np.ndarray, dt: float) -> FloatArray:
         """Return how much of the Riccati policy drives, from 0 to 1, dt [s] later, shape (...)."""
-        self._trusted_for = np.where(doubtful, 0.0, self._trusted_for + dt)
-        wanted = (self._trusted_for < _PROBATION).astype(float)
+        self._trusted_for = where(doubtful, 0.0, self._trusted_for + dt)
+        wanted = where(self._trusted_for < _PROBATION, 1.0, 0.0)
         if self._share is None:
             self._share = wanted
         else:
             step = dt / _CHANGE_TIME
-            self._share = self._share + np.minimum(np.maximum(wanted - self._share, -step), step)
-        return self._share
+            self._share = self._share + clamped(wanted - self._share, -step, step)
+        return np.asarray(self._share)[()]
 
 
 def is_doubtful(
@@ -103,4 +105,6 @@ def is_doubtful(
 
     """
     rises = bellman_error > _MOST_ERROR * running_cost + _NOTHING
-    return np.asarray(rises | (value < _LEAST_VALUE * riccati_value - _NOTHING))
+    small: np.ndarray = value < _LEAST_VALUE * riccati_value - _NOTHING
+    doubtful: np.ndarray = rises | small
+    return doubtful

@@ -10,16 +10,17 @@ from numpy.typing import ArrayLike
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.actuation import Actuation
 from adp_path_follower.core.arc_length_learner import ArcLengthLearner
+from adp_path_follower.core.basis import Expansion, Numbers
 from adp_path_follower.core.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.controller import ControlOutput, RunningCost, VirtualTarget
 from adp_path_follower.core.fallback import Distrust, RiccatiPolicy, is_doubtful
 from adp_path_follower.core.fleet_learner import FleetLearner
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, components, cos, numbers, sin
 from adp_path_follower.core.goal import Goal
 from adp_path_follower.core.learner import Evidence, Learner, LocalWeights, Weights
 from adp_path_follower.core.path import Path, PathFrame
 from adp_path_follower.core.path_state_learner import PathStateLearner
-from adp_path_follower.core.policy import actor_input, saturate
+from adp_path_follower.core.policy import descending_input, saturate
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile, SpeedReference
@@ -69,8 +70,9 @@ class _Situation:
         curvature: kappa at the target [1/m], shape (...).
         v_des: Speed along the path there [m/s], shape (...); None where it does not vary.
         feedforward: [v_ss, w_ss], shape (..., 2).
-        drift_gradient: sigma' f, shape (..., L).
-        input_gradient: sigma' g, shape (..., L, 2).
+        heading: cos and sin of the heading error, numbers of shape (...).
+        drift: f, four such numbers.
+        expansion: sigma and sigma'.
         local: The weights.
         value: Wc^T sigma, shape (...).
         passing: How fast the value changes because the target moves on, shape (...).
@@ -81,8 +83,9 @@ class _Situation:
     curvature: FloatArray
     v_des: FloatArray | None
     feedforward: FloatArray
-    drift_gradient: FloatArray
-    input_gradient: FloatArray
+    heading: Numbers
+    drift: Numbers
+    expansion: Expansion
     local: LocalWeights
     value: FloatArray
     passing: FloatArray
@@ -143,6 +146,7 @@ class PathFollower:
         safe_policy = settings.policy.fallback != "none"
         self._fallback = RiccatiPolicy(settings, riccati) if safe_policy else None
         self._distrust = Distrust()
+        self._basis = settings.learning.value_basis
         self._running_cost = RunningCost(settings.cost)
         self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
         self.cost = np.zeros_like(self.arc_length)
@@ -232,7 +236,7 @@ class PathFollower:
 
         """
         here = self._situation(frame, error)
-        wanted = actor_input(here.local.weights.actor, here.input_gradient, self._inverse_cost)
+        wanted = self._wanted(here)
         learned = applied = saturate(wanted, here.feedforward, self.settings.limits)
         running_cost, measured = self._measure(here, learned)
         doubt = self._doubt(here, running_cost, measured, dt)
@@ -263,33 +267,44 @@ class PathFollower:
 
     def _situation(self, frame: PathFrame, error: FloatArray) -> _Situation:
         """Return the value function and the model at an error from a frame of the path."""
-        target, curvature, v_des = self.settings.target, frame.curvature, self._target.v_des
-        phi = error_dynamics.path_state(self.arc_length, target)
-        zeta = np.concatenate([error, phi[..., None]], axis=-1)
-        terms, gradient = self.settings.learning.value_basis.value_and_gradient(zeta)
-        input_matrix = error_dynamics.input_matrix(zeta)
+        target, curvature, v_des = self.settings.target, frame.curvature[()], self._target.v_des
+        phi = error_dynamics.path_state(self.arc_length[()], target)
+        s, y, theta = numbers(error)
+        zeta = components(s, y, theta, phi)
+        expansion = self._basis.expansion(zeta)
         local = self._learner.local(self.arc_length)
-        passing = np.zeros(())
+        passing = np.zeros(())[()]
         if local.slope is not None:  # the value function changes along the path by itself
-            passing = error_dynamics.target_speed(error, target, v_des) * (local.slope * terms).sum(
-                -1
-            )
+            speed = error_dynamics.target_speed(error, target, v_des)
+            passing = speed * _product(local.slope, expansion.value)
         return _Situation(
             zeta=zeta,
             curvature=curvature,
             v_des=v_des,
             feedforward=error_dynamics.feedforward(curvature, target, v_des),
-            drift_gradient=_times(gradient, error_dynamics.drift(zeta, curvature, target, v_des)),
-            input_gradient=np.matmul(gradient, input_matrix),
+            heading=(cos(theta), sin(theta)),
+            drift=numbers(error_dynamics.drift(zeta, curvature, target, v_des)),
+            expansion=expansion,
             local=local,
-            value=(local.weights.critic * terms).sum(-1),
+            value=_product(local.weights.critic, expansion.value),
             passing=passing,
         )
+
+    def _wanted(self, here: _Situation) -> FloatArray:
+        """Return the actor's input, without limits, shape (..., 2)."""
+        by_s, by_y, by_theta, _ = here.expansion.slope(here.local.weights.actor)
+        ahead, aside = here.heading
+        descent = components(ahead * by_s + aside * by_y, by_theta)  # g^T sigma'^T Wa
+        return descending_input(descent, self._inverse_cost)
 
     def _measure(self, here: _Situation, applied: FloatArray) -> tuple[FloatArray, BellmanErrors]:
         """Return the running cost and the Bellman error of an input (..., 2)."""
         running_cost = self._running_cost(here.zeta[..., :3], applied)
-        regressor = here.drift_gradient + _times(here.input_gradient, applied)
+        (s_rate, y_rate, turn, phi_rate), (ahead, aside) = here.drift, here.heading
+        v, w = numbers(applied)
+        regressor = here.expansion.rate(
+            (s_rate + ahead * v, y_rate + aside * v, turn + w, phi_rate)  # f + g u
+        )
         errors = bellman_errors(
             here.local.weights.critic,
             regressor[..., None, :],
@@ -348,6 +363,8 @@ class PathFollower:
         return other
 
 
-def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return matrices (..., M, N) times vectors (..., N), shape (..., M)."""
-    return np.asarray(np.matmul(matrix, vector[..., None])[..., 0])
+def _product(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the inner products of vectors (..., L), shape (...)."""
+    if first.ndim == second.ndim == 1:
+        return np.asarray(first @ second)[()]
+    return np.asarray((first * second).sum(-1))

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, clamped
 from adp_path_follower.core.learner import (
     LearnedWeights,
     LocalWeights,
     Weights,
     initial_weights,
+    surely_finite,
 )
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.riccati import RiccatiSchedule
@@ -73,6 +75,7 @@ class KnotMemory:
     def reset(self) -> None:
         """Return to the initial weights everywhere."""
         self._owner = np.full(len(self.critic), NOBODY)  # the knot that each slot holds
+        self._pair = (0, (0, 0), (NOBODY + 1, 0))  # see `_slots_about`
 
     def slots(self, knots: np.ndarray) -> np.ndarray:
         """Return where knots of any shape are stored, with initial weights if they are new."""
@@ -113,27 +116,47 @@ class KnotMemory:
 
     def position(self, arc_length: FloatArray) -> FloatArray:
         """Return arc lengths in knot spacings, same shape, within what integers can count."""
+        if isinstance(arc_length, float):
+            place = 0.0 if math.isnan(arc_length) else arc_length / self.spacing
+            return np.float64(clamped(place, -_FARTHEST, _FARTHEST))
         place = np.where(np.isnan(arc_length), 0.0, arc_length)[()] / self.spacing
         return np.minimum(np.maximum(place, -_FARTHEST), _FARTHEST)
 
     def local(self, arc_length: FloatArray) -> LocalWeights:
         """Return the weights at arc lengths [m] of any shape, and their slope along the path."""
         position = self.position(arc_length)
-        knot = np.floor(position)
-        share = (position - knot)[..., None]
-        slots = self.slots(np.add.outer((0, 1), knot.astype(np.int64)))
-        (critic, critic_ahead), (actor, actor_ahead) = self.critic[slots], self.actor[slots]
+        if isinstance(position, float):
+            knot = math.floor(position)
+            share, slots = position - knot, self._slots_about(knot)
+        else:
+            behind = np.floor(position)
+            share = (position - behind)[..., None]
+            slots = self.slots(np.add.outer((0, 1), behind.astype(np.int64)))
+        (critic, critic_ahead), (actor, actor_ahead) = (
+            (weights[slots[0]], weights[slots[1]]) for weights in (self.critic, self.actor)
+        )
         critic_step = critic_ahead - critic
         actor = actor + share * (actor_ahead - actor)
         critic = critic + share * critic_step
         slope = critic_step / self.spacing
-        if not (np.isfinite(actor).all() and np.isfinite(critic).all()):
+        if not surely_finite(actor, critic):
             sound = self._sound(critic, actor)[..., None]
             speed = self._profile.model_speed(arc_length)
             safe = self.safe(self._path.curvature(arc_length), speed)
             critic, actor = np.where(sound, critic, safe), np.where(sound, actor, safe)
             slope = np.where(sound, slope, 0.0)
         return LocalWeights(Weights(critic, actor), slope)
+
+    def _slots_about(self, knot: int) -> Sequence[int]:
+        """Return the slots of a knot and of the next, most often those of the last call."""
+        known, slots, owners = self._pair
+        if knot != known or any(
+            self._owner[slot] != owner for slot, owner in zip(slots, owners, strict=True)
+        ):
+            first, second = self.slots(np.array([knot, knot + 1])).tolist()
+            slots = (first, second)
+            self._pair = (knot, slots, (int(self._owner[first]), int(self._owner[second])))
+        return slots
 
     def curvature(self, knots: np.ndarray) -> FloatArray:
         """Return the mean curvature [1/m] about each knot, shape (K,)."""

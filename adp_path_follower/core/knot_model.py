@@ -75,14 +75,14 @@ class KnotFit:
 
 def fit(equations: NormalEquations) -> KnotFit:
     """Return the solution of the normal equations, by Cholesky's method."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(equations.matrix), 1e-300))
-    scaled = equations.matrix * scale[:, None] * scale
-    scaled.flat[:: len(scale) + 1] += _RIDGE  # the diagonal
-    norm = float(np.abs(scaled).sum(axis=0).max())
+    scale = 1.0 / np.sqrt(np.maximum(equations.matrix.diagonal(), 1e-300))
+    scaled = equations.matrix * scale[:, None]
+    scaled *= scale
+    scaled.ravel()[:: len(scale) + 1] += _RIDGE  # the diagonal
     factor, failed = dpotrf(scaled, lower=1)
-    if failed or not math.isfinite(norm):
+    if failed or not math.isfinite(float(factor.sum())):
         return KnotFit(np.full(len(scale), np.nan), math.inf, 0.0)
-    reciprocal_condition, _ = dpocon(factor, norm, uplo="L")
+    excitation, _ = dpocon(factor, 1.0, uplo="L")  # times the norm of M it would be 1 / cond(M)
     solution, _ = dpotrs(factor, -equations.vector * scale, lower=1)
     weights = solution * scale
     remaining = weights @ equations.matrix @ weights + 2.0 * weights @ equations.vector
@@ -90,7 +90,7 @@ def fit(equations: NormalEquations) -> KnotFit:
     return KnotFit(
         critic_weights=weights,
         residual=math.sqrt(squared / max(equations.running_cost, 1e-300)),
-        excitation=float(reciprocal_condition) * norm,
+        excitation=float(excitation),
     )
 
 

@@ -213,12 +213,20 @@ def follow(
         dt: Time [s].
 
     """
-    step = -math.expm1(-gain * dt) * (critic_weights - actor_weights)
+    step = critic_weights - actor_weights
+    step *= -math.expm1(-gain * dt)
     actor = actor_weights + step
-    largest = max(float((actor_weights**2).sum(-1).max()), float((actor**2).sum(-1).max()))
-    if largest <= bound**2:  # inside the ball the projection changes nothing
+    # Inside the ball the projection changes nothing; all weights together are a quicker answer.
+    if all(np.vdot(weights, weights) <= bound**2 for weights in (actor_weights, actor)):
+        return actor
+    if all((weights**2).sum(-1).max() <= bound**2 for weights in (actor_weights, actor)):
         return actor
     return bound_norm(actor_weights + project(step, actor_weights, bound), bound)
+
+
+def surely_finite(actor_weights: FloatArray, critic_weights: FloatArray) -> bool:
+    """Return True only if all weights of two arrays (..., L) are finite: one product tells."""
+    return math.isfinite(float(np.vdot(actor_weights, critic_weights)))
 
 
 def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, clamped, components, numbers
 from adp_path_follower.core.settings import LimitSettings
 
 
@@ -20,6 +20,11 @@ def actor_input(
 
     """
     descent = np.matmul(actor_weights[..., None, :], input_gradient)[..., 0, :]
+    return descending_input(descent, input_cost_inverse)
+
+
+def descending_input(descent: FloatArray, input_cost_inverse: FloatArray) -> FloatArray:
+    """Return the modified input -1/2 R^-1 g^T V_zeta from g^T V_zeta, shape (..., 2) each."""
     return np.asarray(-0.5 * (descent @ input_cost_inverse))
 
 
@@ -33,6 +38,11 @@ def saturate(
     """
     if limits.unlimited:
         return modified_input
-    command = modified_input + feedforward
-    command = np.minimum(np.maximum(command, limits.lower), limits.upper)
-    return np.asarray(command - feedforward)
+    if modified_input.ndim > 1 or feedforward.ndim > 1:
+        command = modified_input + feedforward
+        command = np.minimum(np.maximum(command, limits.lower), limits.upper)
+        return np.asarray(command - feedforward)
+    (v_e, w_e), (v_ss, w_ss) = numbers(modified_input), numbers(feedforward)
+    lowest, highest = limits.lower.tolist(), limits.upper.tolist()
+    v, w = clamped(v_e + v_ss, lowest[0], highest[0]), clamped(w_e + w_ss, lowest[1], highest[1])
+    return components(v - v_ss, w - w_ss)

@@ -18,6 +18,7 @@ class WideRegion:
         """Take levels, limits and kind from the settings."""
         self._policy = settings.policy
         self._half_widths = np.array(settings.learning.sample_half_widths[:3])
+        self._widths: list[float] = self._half_widths.tolist()
         self._limits = settings.limits
         self._riccati = riccati
         inverse = np.linalg.inv(settings.cost.input_cost_matrix())
@@ -40,8 +41,10 @@ class WideRegion:
             feedforward: [v_ss, w_ss], shape (..., 2).
 
         """
-        level = np.abs(zeta[..., :3] / self._half_widths).max(axis=-1)
         start, end = self._policy.wide_region_levels
+        if zeta.ndim == 1 and self._inside(zeta, start):
+            return learned
+        level = np.abs(zeta[..., :3] / self._half_widths).max(axis=-1)
         if not (level > start).any():
             return learned
         share = np.clip((level - start) / (end - start), 0.0, 1.0)
@@ -52,6 +55,13 @@ class WideRegion:
         else:
             far = self._quadratic.modified_input(zeta, curvature, feedforward)
         return np.asarray((1.0 - share) * learned + share * far)
+
+    def _inside(self, zeta: FloatArray, level: float) -> bool:
+        """Return whether a state (4,) is within a multiple of the samples' half-widths."""
+        return all(
+            abs(error) <= level * width
+            for error, width in zip(zeta.tolist(), self._widths, strict=False)  # not phi
+        )
 
     def _approach(self, zeta: FloatArray, matrix: FloatArray) -> FloatArray:
         """Return the Riccati law whose lateral part saturates into an approach angle, (..., 2).

@@ -243,3 +243,30 @@ def test_quadratic_weights_of_a_batch_are_those_of_single_ones(frame, several):
         for index in np.ndindex(2, 5):
             single = basis.quadratic_weights(several[index])
             assert together[index].tolist() == single.tolist()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    degree=degrees,
+    frame=frames,
+    name=st.sampled_from(BASES),
+    several=npst.arrays(float, (3, 4), elements=st.floats(-2.0, 2.0)),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_products_with_the_gradient_are_those_of_the_gradient_written_out(
+    degree, frame, name, several, seed
+):
+    basis = make_basis(name, degree, frame)
+    random = np.random.default_rng(seed)
+    weights, rates = random.normal(size=(3, len(basis.labels))), random.normal(size=(3, 4))
+    gradient = basis.gradient(several)
+    slope = np.einsum("nlz,nl->nz", gradient, weights)
+    change = np.einsum("nlz,nz->nl", gradient, rates)
+    scale = 1e-12 * (1.0 + np.abs(gradient).max() * np.abs(weights).max()) * weights.shape[1]
+    batch = basis.expansion(several)
+    np.testing.assert_allclose(np.stack(batch.slope(weights), -1), slope, atol=scale)
+    np.testing.assert_allclose(batch.rate(tuple(rates.T)), change, atol=scale)
+    for index, zeta in enumerate(several):
+        single = basis.expansion(zeta)
+        np.testing.assert_allclose(single.slope(weights[index]), slope[index], atol=scale)
+        np.testing.assert_allclose(single.rate(tuple(rates[index])), change[index], atol=scale)

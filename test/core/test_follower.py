@@ -192,6 +192,30 @@ def robot_at(time):
     )
 
 
+extreme = st.one_of(st.floats(), st.sampled_from([math.inf, -math.inf, math.nan, 1e300, 1e160]))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numpy's, of what is infinite
+@settings(max_examples=60, deadline=None)
+@given(
+    poses=st.lists(st.tuples(extreme, extreme, extreme), min_size=1, max_size=3),
+    open_path=st.booleans(),
+    scheduling=st.sampled_from(["arc_length", "path_state"]),
+    seed=seeds,
+)
+def test_any_pose_has_an_answer_which_is_that_of_a_batch(poses, open_path, scheduling, seed):
+    """One robot is computed with Python's numbers, which raise where numpy's do not."""
+    path = PATHS["line" if open_path else "circle"]
+    settings = build(Settings, {"scheduling": scheduling, "learning": False, **LIMITED})
+    one, batch = PathFollower(settings, path), PathFollower(settings, path, np.zeros(1))
+    sound, _ = noisy_poses(path, seed, 3)
+    for pose in (sound[0], *np.array(poses), sound[1]):
+        alone, among = one.step(pose, 0.01), batch.step(pose[None], 0.01)
+        for name in ("command", "error", "arc_length", "running_cost", "bellman_error", "doubt"):
+            expected = np.asarray(getattr(among, name))[0]
+            np.testing.assert_allclose(getattr(alone, name), expected, rtol=1e-6, atol=1e-9)
+
+
 def test_the_target_moves_by_its_law_to_second_order(paper):
     kappa, duration, v_des, k1 = 0.5, 8.0, 0.5, 0.1
 

@@ -4,6 +4,7 @@ import cmath
 import math
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
@@ -13,7 +14,14 @@ from scipy.spatial.transform import Rotation
 from adp_path_follower.core.error_dynamics import tracking_error
 from adp_path_follower.core.geometry import (
     advance_pose,
+    clamped,
+    components,
+    cos,
+    numbers,
     pose_in_frame,
+    sin,
+    tanh,
+    where,
     wrap_angle,
     yaw_of_quaternion,
 )
@@ -131,3 +139,30 @@ def test_yaw_of_a_tilted_robot_is_the_direction_of_its_nose(yaw, pitch, roll):
     expected = math.atan2(nose[1], nose[0])
     found = yaw_of_quaternion(*rotation.as_quat())
     assert abs(math.remainder(found - expected, math.tau)) < 1e-9
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")  # numpy's, of what is infinite
+@settings(max_examples=200, deadline=None)
+@given(value=st.floats(), low=rates, width=st.floats(0.0, 5.0))
+def test_functions_of_one_number_are_those_of_arrays(value, low, width):
+    for one in (value, np.float64(value)):
+        for ours, theirs in ((cos, np.cos), (sin, np.sin), (tanh, np.tanh)):
+            np.testing.assert_allclose(ours(one), theirs(np.array([one]))[0], rtol=1e-14)
+            np.testing.assert_array_equal(ours(np.array([one])), theirs(np.array([one])))
+        expected = np.clip(np.array([one]), low, low + width)
+        np.testing.assert_array_equal(clamped(one, low, low + width), expected[0])
+        np.testing.assert_array_equal(clamped(np.array([one]), low, low + width), expected)
+        condition = one > low
+        np.testing.assert_array_equal(where(condition, one, low), np.where(condition, one, low))
+        array = np.array([one]) > low
+        np.testing.assert_array_equal(where(array, one, low), np.where(array, one, low))
+
+
+@settings(max_examples=50, deadline=None)
+@given(several=npst.arrays(float, (3, 4), elements=rates))
+def test_numbers_are_the_components_along_the_last_axis(several):
+    np.testing.assert_array_equal(np.stack(numbers(several)), several.T)
+    for row in several:
+        assert all(type(number) is float for number in numbers(row))
+        np.testing.assert_array_equal(numbers(row), row)
+        np.testing.assert_array_equal(components(*numbers(row)), row)
