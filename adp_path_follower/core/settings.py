@@ -254,6 +254,13 @@ class ControllerSettings:
         choices=("timer", "odometry"),
         read_only=_TIMER,
     )
+    debug_rate: float = setting(
+        math.inf,
+        "Rate at which the debug topics tell what a control step found, while somebody subscribes; "
+        ".inf tells it of every step, so that a recording is complete.",
+        unit="Hz",
+        low=POSITIVE,
+    )
     path_start: str = setting(
         "nearest",
         "Where on a new path the virtual target starts: at the place nearest to the robot, or at "

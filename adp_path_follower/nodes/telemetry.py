@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time as steady
 from collections.abc import Callable
 from typing import Any
 
@@ -32,6 +34,7 @@ LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ALL_CHANGES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+_LISTENERS_PERIOD = 0.1  # [s], steady: how often it is asked who listens
 _MARKER_POINTS = 2000  # of a long path: each takes a microsecond or two of the control thread
 
 _LEVELS = {
@@ -47,15 +50,24 @@ _LEVELS = {
 class Telemetry:
     """Publishers of everything but the command."""
 
-    def __init__(self, node: Node, labels: tuple[str, ...], lossless: bool) -> None:
+    def __init__(
+        self,
+        node: Node,
+        labels: tuple[str, ...],
+        lossless: bool,
+        debug_rate: Callable[[], float],
+    ) -> None:
         """Create the publishers.
 
         Args:
             node: The controller.
             labels: Names of the terms of the basis.
             lossless: Publish every step whether or not somebody listens, for those who join late.
+            debug_rate: Returns how many steps a second are told of [Hz].
 
         """
+        self._debug_rate, self._period_told = debug_rate, 0
+        self._listeners_known_until = 0.0
         self._lossless = lossless
         self._logger = node.get_logger()
         self._learning_problem = ""
@@ -97,6 +109,7 @@ class Telemetry:
             (node.create_publisher(kind, topic, LOSSLESS if lossless else EVERY_STEP), make)
             for topic, (kind, make) in makers.items()
         ]
+        self._heard = self._steps  # those of them that somebody listens to
 
     def destroy(self, node: Node) -> None:
         """Destroy the publishers."""
@@ -109,27 +122,47 @@ class Telemetry:
     ) -> None:
         """Publish what one control step at a time [ns] went by and found; cost is J so far."""
         self._pose.publish(vector_message(time, frame, pose))
-        for publisher, make in self._steps:
-            if self._lossless or publisher.get_subscription_count():
-                publisher.publish(make(time, frame, output, cost))
+        for publisher, make in self._steps_to_tell(time):
+            publisher.publish(make(time, frame, output, cost))
+
+    def _steps_to_tell(self, time: int) -> list[tuple[Publisher, Callable[..., Any]]]:
+        """Return what is to be published of a step at a time [ns].
+
+        To ask seven publishers for their subscriptions costs as much as to publish a message.
+        """
+        if self._lossless:
+            wanted = self._steps
+        else:
+            now = steady.monotonic()
+            if now >= self._listeners_known_until:
+                self._listeners_known_until = now + _LISTENERS_PERIOD
+                self._heard = [step for step in self._steps if step[0].get_subscription_count()]
+            wanted = self._heard
+        rate = self._debug_rate()
+        if not wanted or math.isinf(rate):
+            return wanted
+        period = math.floor(time * 1e-9 * rate)  # each is told of once, by its first step
+        if period == self._period_told:
+            return []
+        self._period_told = period
+        return wanted
 
     def markers(self, time: int, frame: str, path: Route, output: FollowerOutput | None) -> None:
-        """Publish the path and the virtual target for RViz and Foxglove."""
-        if not self._markers.get_subscription_count() and output is not None:
+        """Publish the path, or on it the virtual target, for RViz and Foxglove."""
+        if output is None:
+            marker = Marker(header=make_header(time, frame), ns="path", type=Marker.LINE_STRIP)
+            marker.scale.x = 0.03
+            marker.color = ColorRGBA(r=0.2, g=0.5, b=1.0, a=0.8)
+            spacing = max(0.1, path.length / _MARKER_POINTS)
+            marker.points = [Point(x=x, y=y) for x, y, _ in path.points(spacing).tolist()]
+        elif self._markers.get_subscription_count():
+            marker = Marker(header=make_header(time, frame), ns="target", type=Marker.ARROW)
+            marker.pose = pose_message(output.target_pose)
+            marker.scale.x, marker.scale.y, marker.scale.z = 0.5, 0.08, 0.08
+            marker.color = ColorRGBA(r=1.0, g=0.5, b=0.0, a=1.0)
+        else:
             return
-        line = Marker(header=make_header(time, frame), ns="path", type=Marker.LINE_STRIP)
-        line.scale.x = 0.03
-        line.color = ColorRGBA(r=0.2, g=0.5, b=1.0, a=0.8)
-        spacing = max(0.1, path.length / _MARKER_POINTS)
-        line.points = [Point(x=x, y=y) for x, y, _ in path.points(spacing).tolist()]
-        markers = [line]
-        if output is not None:
-            target = Marker(header=make_header(time, frame), ns="target", type=Marker.ARROW)
-            target.pose = pose_message(output.target_pose)
-            target.scale.x, target.scale.y, target.scale.z = 0.5, 0.08, 0.08
-            target.color = ColorRGBA(r=1.0, g=0.5, b=0.0, a=1.0)
-            markers = [target]
-        self._markers.publish(MarkerArray(markers=markers))
+        self._markers.publish(MarkerArray(markers=[marker]))
 
     def configuration(self, text: str) -> None:
         """Publish what this run is: settings, version and path, as YAML."""
