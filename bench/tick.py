@@ -1,24 +1,26 @@
-"""Measure one control tick against a single small linear solve, in one run.
+"""Measure control ticks against floors in the same run: what they consist of, and the slowest.
 
-    python bench/tick.py [--json FILE]
+    python bench/tick.py [--ticks 100000] [--json FILE]
 
-Absolute times depend on the machine and on what else it does; the ratio to `numpy.linalg.solve`
-on a 9 x 9 matrix, measured in turns with everything else, hardly does. Ticks are those of a robot
-that drives along the paper's figure eight.
+Absolute times depend on the machine and on what else it does; ratios of what is measured in turns
+hardly do. Ticks are those of a robot that drives along the paper's figure eight. Between each two
+of the long run, a loop of plain Python takes about the same time: how far its slowest turns are
+from its usual ones is the machine's doing, not the controller's.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import platform
+import gc
 import time
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from timing import Row, arguments, in_turns, ratio, report
 
 from adp_path_follower.core.bellman import SampledModel, excitation
+from adp_path_follower.core.driver import Driver
 from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray, advance_pose
 from adp_path_follower.core.knot_model import KnotModel, fit
@@ -28,10 +30,10 @@ from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.shared_files import config_file
 
-ROUNDS, CALLS = 30, 200
-_PERIOD = 0.01  # [s]
+_PERIOD = 10_000_000  # [ns]
 _POSE = np.array([0.3, 0.5, 0.4])
-_TICKS = 20_000  # of which the slowest of a hundred is shown
+_SOLVE = "numpy.linalg.solve, 9 × 9"
+_TRACED = 3000  # ticks
 
 
 class Drive:
@@ -39,23 +41,36 @@ class Drive:
 
     def __init__(self, file: Path | None = None, *assignments: str) -> None:
         """Take the settings of a parameter file, with some changed."""
-        settings = load_settings(Settings, "path_follower", file, assignments=assignments)
-        self.follower = PathFollower(settings, lissajous())
+        self.settings = load_settings(Settings, "path_follower", file, assignments=assignments)
+        self._driver = Driver(self.settings)
+        self._driver.follow(lissajous())
         self._pose: FloatArray = _POSE
+        self._time = 0
+
+    @property
+    def follower(self) -> PathFollower:
+        """Return the follower, after the first tick."""
+        assert self._driver.follower is not None
+        return self._driver.follower
 
     def tick(self) -> float:
-        """Drive on for one period; return how long the controller took [s]."""
+        """Drive on for one period; return how long the controller took [µs]."""
+        self._time += _PERIOD
         start = time.perf_counter()
-        output = self.follower.step(self._pose, _PERIOD)
+        output = self._driver.step(self._pose, self._time)
         elapsed = time.perf_counter() - start
-        self._pose = advance_pose(self._pose, *output.command, _PERIOD)
-        return elapsed
+        v, w = output.command.tolist()
+        self._pose = advance_pose(self._pose, v, w, 1e-9 * _PERIOD)
+        return 1e6 * elapsed
 
 
 def parts() -> dict[str, Callable[[], object]]:
     """Return what a tick consists of, by name."""
-    paper, default = Drive(config_file("paper.yaml")).follower, Drive().follower
-    output, weights, settings = paper.step(_POSE, _PERIOD), paper.weights, paper.settings
+    drives = Drive(config_file("paper.yaml")), Drive()
+    for drive in drives:
+        drive.tick()
+    paper, default = (drive.follower for drive in drives)
+    output, weights, settings = paper.step(_POSE, 0.01), paper.weights, paper.settings
     model = SampledModel(settings, paper.path)
     knots, ahead = KnotModel(default.settings, 0.2), default.weights.critic
     step = default.settings.learning.samples_per_step
@@ -63,13 +78,13 @@ def parts() -> dict[str, Callable[[], object]]:
     rng = np.random.default_rng(0)
     matrix, vector = np.eye(9) + 0.1 * rng.standard_normal((9, 9)), rng.standard_normal(9)
     return {
-        "numpy.linalg.solve, 9 x 9": lambda: np.linalg.solve(matrix, vector),
+        _SOLVE: lambda: np.linalg.solve(matrix, vector),
         "path frame": lambda: paper.path.frame(3.0),
         "paper: Bellman sweep, 81 samples, 9 weights": lambda: model.sweep(
             weights.critic, weights.actor
         ),
         "paper: weight update": lambda: update_weights(
-            weights, output.measured, output.sampled, settings.learning, _PERIOD
+            weights, output.measured, output.sampled, settings.learning, 0.01
         ),
         "paper: certificate": lambda: excitation(output.sampled.information),
         f"default: Bellman errors, {step} samples": lambda: knots.equations(
@@ -79,47 +94,92 @@ def parts() -> dict[str, Callable[[], object]]:
     }
 
 
-def medians_in_turns(drives: dict[str, Drive]) -> dict[str, float]:
-    """Return the median time [µs] of every part and tick; a slow moment hits all alike."""
-    cases = parts()
-    times: dict[str, list[float]] = {name: [] for name in (*cases, *drives)}
-    for _ in range(ROUNDS):
-        for name, call in cases.items():
-            start = time.perf_counter()
-            for _ in range(CALLS):
-                call()
-            times[name].append(1e6 * (time.perf_counter() - start) / CALLS)
-        for name, drive in drives.items():
-            times[name] += [1e6 * drive.tick() for _ in range(CALLS)]
-    return {name: float(np.median(found)) for name, found in times.items()}
+def consists_of() -> list[Row]:
+    """Return the time of every part and tick."""
+    drives = {
+        "paper: control tick": Drive(config_file("paper.yaml")),
+        "default: control tick, not learning": Drive(None, "learning=false"),
+        "default: control tick": Drive(),
+    }
+    times = in_turns({**parts(), **{name: drive.tick for name, drive in drives.items()}})
+    return [
+        Row(name, float(np.median(found)), ratio=ratio(found, times[_SOLVE]), against="solve")
+        for name, found in times.items()
+    ]
+
+
+def long_run(count: int) -> list[Row]:
+    """Return how long ticks take that follow one another, and what the garbage collector does."""
+    drive = Drive()
+    usual = np.median([drive.tick() for _ in range(500)])
+    turns = round(500 * usual / _plain_loop(500 * 20)) * 20
+    collections: list[float] = []
+    begun = 0.0
+
+    def note(phase: str, _: dict[str, int]) -> None:
+        nonlocal begun
+        if phase == "start":
+            begun = time.perf_counter()
+        else:
+            collections.append(1e6 * (time.perf_counter() - begun))
+
+    ticks, loops = np.empty(count), np.empty(count)
+    gc.callbacks.append(note)
+    for index in range(count):
+        ticks[index] = drive.tick()
+        loops[index] = _plain_loop(turns)
+    gc.callbacks.remove(note)
+    rows = []
+    for name, level in (("half within", 0.5), ("99 % within", 0.99), ("the slowest", 1.0)):
+        tick, loop = (float(np.quantile(times, level)) for times in (ticks, loops))
+        rows.append(Row(f"default: {count} ticks, {name}", tick, "µs", tick / loop, "plain loop"))
+    rows.append(Row("garbage collections in these ticks", len(collections), ""))
+    if collections:
+        rows.append(Row("the longest of them", max(collections)))
+    return rows
+
+
+def _plain_loop(turns: int) -> float:
+    """Return how long so many turns of a loop take [µs]."""
+    start = time.perf_counter()
+    total = 0.0
+    for turn in range(turns):
+        total += turn * 0.5
+    return 1e6 * (time.perf_counter() - start)
+
+
+def allocations() -> list[Row]:
+    """Return what ticks keep of the memory that they allocate, and what one has at once."""
+    rows = []
+    for name, assignments in (("not learning", ("learning=false",)), ("learning", ())):
+        drive = Drive(None, *assignments)
+        for _ in range(_TRACED):
+            drive.tick()
+        gc.collect()
+        tracemalloc.start()
+        for _ in range(_TRACED // 10):  # what is kept for the next tick is known now
+            drive.tick()
+        before, most = tracemalloc.get_traced_memory()[0], []
+        for _ in range(_TRACED):
+            present, _ = tracemalloc.get_traced_memory()
+            tracemalloc.reset_peak()
+            drive.tick()
+            most.append(tracemalloc.get_traced_memory()[1] - present)
+        gc.collect()
+        grown = (tracemalloc.get_traced_memory()[0] - before) / _TRACED
+        tracemalloc.stop()
+        usual = float(np.median(most)) / 1e3
+        rows.append(Row(f"default, {name}: kept of the memory of a tick", grown, "B"))
+        rows.append(Row(f"default, {name}: memory that a tick has at once", usual, "kB"))
+    return rows
 
 
 def main() -> None:
     """Print the table, and write it if asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, help="write the times [µs] and ratios here")
-    arguments = parser.parse_args()
-    medians = medians_in_turns(
-        {
-            "paper: control tick": Drive(config_file("paper.yaml")),
-            "default: control tick, not learning": Drive(None, "learning=false"),
-            "default: control tick": Drive(),
-        }
-    )
-    floor = medians["numpy.linalg.solve, 9 x 9"]
-    print(f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}")
-    for name, median in medians.items():
-        print(f"{name:<44}{median:9.1f} µs   {median / floor:7.1f} x solve")
-    drive = Drive()
-    ticks = [1e6 * drive.tick() for _ in range(_TICKS)]
-    middle, slow, slowest = np.quantile(ticks, [0.5, 0.99, 1.0])
-    print(
-        f"default: of {_TICKS} ticks one after the other, half within {middle:.0f} µs, "
-        f"99 % within {slow:.0f} µs, the slowest {slowest:.0f} µs"
-    )
-    if arguments.json:
-        rows = {name: {"us": value, "ratio": value / floor} for name, value in medians.items()}
-        arguments.json.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    parser = arguments(__doc__)
+    parser.add_argument("--ticks", type=int, default=100_000, help="of the long run")
+    given = parser.parse_args()
+    report([*consists_of(), *long_run(given.ticks), *allocations()], given.json)
 
 
 if __name__ == "__main__":

@@ -73,6 +73,7 @@ class Driver:
         self._learned: PathFollower | None = None  # the follower of the path before
         self._output: FollowerOutput | None = None  # of the last step on the segment
         self._standstill: Standstill | None = None  # between segments
+        self._to_learn = False  # from the last step
 
     @property
     def follower(self) -> PathFollower | None:
@@ -154,6 +155,7 @@ class Driver:
     def reset_learning(self) -> None:
         """Return to the initial weights of the settings, also where there were saved ones."""
         self._learned = self.saved_weights = None
+        self._to_learn = False
         if self._follower is not None:
             self._follower.reset_learning()
         self.learning_resets += 1
@@ -179,9 +181,22 @@ class Driver:
         return True
 
     def step(self, pose: FloatArray, time: int) -> FollowerOutput:
+        """Return the command of `command_for`, and learn from the step."""
+        output = self.command_for(pose, time)
+        self.learn()
+        return output
+
+    def learn(self) -> None:
+        """Learn from the last step, once, if learning was not reset meanwhile."""
+        if self._to_learn and self._follower is not None:
+            self._follower.learn()
+        self._to_learn = False
+
+    def command_for(self, pose: FloatArray, time: int) -> FollowerOutput:
         """Return the command for a pose [x, y, theta] (3,) at a time [ns]; there must be a route.
 
-        Command, error and target pose are the robot's own, also in reverse.
+        Command, error and target pose are the robot's own, also in reverse. What the step teaches
+        waits for `learn`, so that the command can be sent before.
 
         Raises:
             SettingsError: No policy can be found for these settings on this path.
@@ -196,7 +211,9 @@ class Driver:
             self._learned, self._standstill = self._follower, None
             self._begin_segment(self._segment + 1, 0.0)
         assert self._follower is not None  # one has just begun, if there was none
-        self._output = self._follower.step_at(self._present.heading_of_path(pose), time)
+        facing = self._present.heading_of_path(pose)
+        self._output = self._follower.step_at(facing, time, learn=False)
+        self._to_learn = True
         return self._own(self._output)
 
     def _own(self, output: FollowerOutput) -> FollowerOutput:

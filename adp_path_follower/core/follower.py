@@ -151,6 +151,7 @@ class PathFollower:
         self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
+        self._period = 0.0  # [s] of the last step
 
     @property
     def arc_length(self) -> FloatArray:
@@ -170,12 +171,18 @@ class PathFollower:
             return "the learned value function does not decrease where the robot is"
         return self._learner.problem
 
-    def step(self, pose: FloatArray, dt: float) -> FollowerOutput:
+    def step(self, pose: FloatArray, dt: float, learn: bool = True) -> FollowerOutput:
         """Return the command for a pose [x, y, theta], shape (..., 3), after dt [s].
 
         Moves the virtual target over the past period, computes error and command there, then
         learns for one period. The first step, and the first one after `hold`, lets no time pass.
         With an actuation delay, all this is where the robot will be when the command takes effect.
+
+        Args:
+            pose: Where the robots are.
+            dt: Time since the last step.
+            learn: False leaves learning to a call of `learn`, before anything else is done.
+
         """
         elapsed = max(dt, 0.0)  # since the last command, which another follower may have given
         pose = self._actuation.predicted(pose, self.settings.motion.actuation_delay, elapsed)
@@ -190,12 +197,18 @@ class PathFollower:
         if self._previous is not None:
             mean_rate = 0.5 * (self._previous.running_cost + output.running_cost)
             self.cost = self.cost + dt * mean_rate
-        self._previous = output
-        if self.settings.learning.learning:
-            self._learner.learn(output.measured, self.arc_length, dt)
+        self._previous, self._period = output, dt
+        if learn:
+            self.learn()
         return output
 
-    def step_at(self, pose: FloatArray, time: int) -> FollowerOutput:
+    def learn(self) -> None:
+        """Learn for the period of the last step."""
+        assert self._previous is not None  # there has been one
+        if self.settings.learning.learning:
+            self._learner.learn(self._previous.measured, self.arc_length, self._period)
+
+    def step_at(self, pose: FloatArray, time: int, learn: bool = True) -> FollowerOutput:
         """Return the command for a pose at a time [ns] of any clock.
 
         Like `step` with the time since the last call. After a gap longer than `odom_timeout`, and
@@ -206,7 +219,7 @@ class PathFollower:
         if not 0.0 < elapsed <= self.settings.controller.odom_timeout:
             self.hold()
         self._actuation.time = time
-        return self.step(pose, elapsed)
+        return self.step(pose, elapsed, learn)
 
     def learn_at_rest(self, pose: FloatArray, distance: float = 20.0) -> bool:
         """Learn with robot and target held where they are; return whether the weights settled.

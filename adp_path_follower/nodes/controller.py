@@ -38,7 +38,6 @@ from adp_path_follower.nodes.weights import WeightsFiles
 
 NODE_NAME = "path_follower"
 
-_MARKER_PERIOD = 0.1  # [s], steady
 _ZERO = np.zeros(2)
 
 
@@ -71,7 +70,6 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._shown = Status(State.INACTIVE)
         self._shown_since = 0
         self._next_diagnostics = 0.0
-        self._next_markers = 0.0
         self._odometry_check = OdometryCheck()
         self._supervisor = Supervisor(self._settings.controller.odom_timeout)
 
@@ -263,6 +261,13 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._control(self._now())
 
     def _control(self, time: int) -> None:
+        """Command for a time [ns], then learn: what is learned is for the next command."""
+        self._command(time)
+        if self._commands is not None:
+            with self._commands.control_step():
+                self._driver.learn()
+
+    def _command(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
         if self._update_status().state is not State.FOLLOWING:
             return
@@ -275,7 +280,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         begun = steady.monotonic()
         try:
             with self._commands.control_step():
-                output = self._driver.step(pose, time)
+                output = self._driver.command_for(pose, time)
         except SettingsError as error:
             self._supervisor.command_refused(str(error))
             self._update_status()
@@ -300,8 +305,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         assert self._path.followed is not None
         frame, route = self._path.followed.followed_frame, self._driver.route
         self._telemetry.step(time, frame, pose, output, float(follower.cost))
-        if route is not None and steady.monotonic() >= self._next_markers:
-            self._next_markers = steady.monotonic() + _MARKER_PERIOD
+        if route is not None:
             self._telemetry.markers(time, frame, route, output)
         if self._driver.at_goal:
             self._supervisor.goal_reached()

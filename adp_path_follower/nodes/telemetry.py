@@ -35,6 +35,7 @@ ALL_CHANGES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 _LISTENERS_PERIOD = 0.1  # [s], steady: how often it is asked who listens
+_MARKER_PERIOD = 0.1  # [s], steady: of the virtual target
 _MARKER_POINTS = 2000  # of a long path: each takes a microsecond or two of the control thread
 
 _LEVELS = {
@@ -62,12 +63,14 @@ class Telemetry:
         Args:
             node: The controller.
             labels: Names of the terms of the basis.
-            lossless: Publish every step whether or not somebody listens, for those who join late.
+            lossless: Publish the first steps whether or not somebody listens, for those who join
+                late.
             debug_rate: Returns how many steps a second are told of [Hz].
 
         """
         self._debug_rate, self._period_told = debug_rate, 0
-        self._listeners_known_until = 0.0
+        self._kept = 0  # steps that were published for those who join late
+        self._listeners_known_until = self._next_marker = 0.0
         self._lossless = lossless
         self._logger = node.get_logger()
         self._learning_problem = ""
@@ -130,7 +133,8 @@ class Telemetry:
 
         To ask seven publishers for their subscriptions costs as much as to publish a message.
         """
-        if self._lossless:
+        if self._lossless and self._kept < LOSSLESS.depth:
+            self._kept += 1
             wanted = self._steps
         else:
             now = steady.monotonic()
@@ -148,14 +152,16 @@ class Telemetry:
         return wanted
 
     def markers(self, time: int, frame: str, path: Route, output: FollowerOutput | None) -> None:
-        """Publish the path, or on it the virtual target, for RViz and Foxglove."""
+        """Publish the path, or on it, not too often, the virtual target, for RViz and Foxglove."""
+        now = steady.monotonic()
         if output is None:
             marker = Marker(header=make_header(time, frame), ns="path", type=Marker.LINE_STRIP)
             marker.scale.x = 0.03
             marker.color = ColorRGBA(r=0.2, g=0.5, b=1.0, a=0.8)
             spacing = max(0.1, path.length / _MARKER_POINTS)
             marker.points = [Point(x=x, y=y) for x, y, _ in path.points(spacing).tolist()]
-        elif self._markers.get_subscription_count():
+        elif now >= self._next_marker and self._markers.get_subscription_count():
+            self._next_marker = now + _MARKER_PERIOD
             marker = Marker(header=make_header(time, frame), ns="target", type=Marker.ARROW)
             marker.pose = pose_message(output.target_pose)
             marker.scale.x, marker.scale.y, marker.scale.z = 0.5, 0.08, 0.08

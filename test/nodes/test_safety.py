@@ -147,11 +147,11 @@ from adp_path_follower.nodes import controller
 
 step_at, steps = PathFollower.step_at, []
 
-def hanging(self, pose, stamp):
+def hanging(self, pose, stamp, learn=True):
     steps.append(stamp)
     if len(steps) == 50:
         time.sleep(3.0)
-    return step_at(self, pose, stamp)
+    return step_at(self, pose, stamp, learn)
 
 PathFollower.step_at = hanging
 sys.exit(controller.main())
