@@ -101,8 +101,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         resume = self.create_service(Trigger, "~/resume", self._resume)
         watchdog = self.create_timer(WATCH_PERIOD, self._watch, clock=self._steady_clock)
         self._entities = [
-            (self.destroy_subscription, odom),
-            (self.destroy_subscription, limit),
+            *((self.destroy_subscription, item) for item in (odom, limit)),
             *((self.destroy_service, service) for service in (reset, stop, resume)),
             (self.destroy_timer, watchdog),
             *self._weights.entities(),
@@ -390,8 +389,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             configuration_text(
                 *(driver.settings, driver.route, after),
                 *(driver.learning_resets, driver.restarts, driver.stops),
-                self._weights.digest,
-                () if path is None else path.transform,
+                *(self._weights.digest, () if path is None else path.transform),
             )
         )
 
