@@ -41,7 +41,7 @@ $(VENV)/ready: setup.py adp_path_follower/__init__.py
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or 3.12 found: install one, or say make PYTHON=..."; exit 1; }
 	@echo "Setting up $(VENV): ROS 2 Jazzy and the Python packages, about a minute"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[jazzy,optimum,report,test]'
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[jazzy,optimum,report,sweep,test]'
 	@touch $@
 
 $(VENV)/ready-lint: $(VENV)/ready

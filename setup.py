@@ -39,6 +39,7 @@ setup(
         (f"share/{NAME}/config", glob("config/*.yaml")),
         (f"share/{NAME}/config/faults", glob("config/faults/*.yaml")),
         (f"share/{NAME}/config/layouts", glob("config/layouts/*")),
+        (f"share/{NAME}/config/sweeps", glob("config/sweeps/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
     ],
     python_requires=">=3.11",
@@ -55,6 +56,13 @@ setup(
         "jazzy": JAZZY_WHEELS,
         "optimum": ["casadi>=3.6"],
         "report": ["plotly>=6.0", "jinja2>=3.1"],
+        "sweep": [
+            "distributed>=2025.1",
+            "optuna>=5.0",
+            "pyarrow>=15.0",
+            "plotly>=6.0",
+            "jinja2>=3.1",
+        ],
         "test": [
             "pytest>=7.4",
             "pytest-xdist>=3.3",

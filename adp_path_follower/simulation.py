@@ -30,6 +30,8 @@ SETTLED_ERROR = 0.05  # |e| below which a run counts as settled
 
 # Makes a controller for a batch of robots, of settings, path and each robot's arc length (B,) [m].
 ControllerFactory = Callable[[Settings, Path, FloatArray], Controller]
+# Sees some of the runs at a time [s]: their true poses, shape (B, 3), and what was made of them.
+Observer = Callable[[slice, float, FloatArray, ControlOutput], None]
 
 _LONGEST_STEP = 0.01  # [s] of the cost's quadrature
 _WARM_MARGIN = 6.0  # [m] that a warm start learns beyond what v_des covers
@@ -85,6 +87,7 @@ def simulate(
     faults: FaultScript | None = None,
     controller: ControllerFactory = PathFollower,
     record: bool = False,
+    observe: Observer | None = None,
     progress: Callable[[float], None] | None = None,
     at_once: int | None = None,
 ) -> SimulationResult:
@@ -107,6 +110,7 @@ def simulate(
         faults: How the imperfections change with time; what it says of messages has no effect.
         controller: What makes the controller; `learning` matters to `PathFollower` only.
         record: Keep trajectories, which takes 16 bytes for each weight of each step of each run.
+        observe: Called at every control step, with which of the starts it is about.
         progress: Called now and then with the fraction that is done.
         at_once: Runs of a block, by default as many as are fast and fit into 128 MB. The outcome
             is the same with any number.
@@ -139,6 +143,8 @@ def simulate(
         def note(step: int, output: ControlOutput, pose: FloatArray) -> None:
             if recorder is not None:
                 recorder.note(first, step, output, pose)
+            if observe is not None:
+                observe(slice(first, first + len(block)), step * period, pose, output)
 
         def report(fraction: float) -> None:
             if progress is not None:

@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from adp_path_follower import __version__
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
 from adp_path_follower.analysis.bag_metrics import METRICS, Metric, Requirement
-from adp_path_follower.core.errors import AdpError
-
-try:
-    import jinja2
-    from jinja2.utils import htmlsafe_json_dumps
-    from markupsafe import Markup
-    from plotly.io.json import to_json_plotly
-    from plotly.offline import get_plotlyjs
-except ImportError:
-    raise AdpError(
-        "the report needs Plotly and Jinja2: pip install 'adp_path_follower[report]'"
-    ) from None
-
+from adp_path_follower.analysis.page import write_page
 from adp_path_follower.analysis.page_figures import COLORS, motions, page_figures
 
 _EVENTS_SHOWN = 100
@@ -76,22 +62,12 @@ def write_report(
     analyses: Sequence[BagAnalysis], requirements: Sequence[Requirement], file: Path
 ) -> None:
     """Write the page about one or several bags."""
-    folder = Path(__file__).parent / "templates"
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
     figures = page_figures(analyses)
-    # `<`, `>` and `&` are written as \u003c and so on: no string of a bag can end the script.
-    data = htmlsafe_json_dumps(
-        {"figures": figures, "motions": motions(analyses)}, dumps=to_json_plotly
-    )
-    page = environment.get_template("report.html.j2").render(
+    write_page(
+        file,
+        "report",
+        {"figures": figures, "motions": motions(analyses)},
         title=", ".join(analysis.name for analysis in analyses),
-        version=__version__,
         analyses=analyses,
         colors=[COLORS[index % len(COLORS)] for index in range(len(analyses))],
         rows=_rows(analyses),
@@ -105,14 +81,7 @@ def write_report(
         captions=[(key, *CAPTIONS[key]) for key in CAPTIONS if key in figures],
         events_shown=_EVENTS_SHOWN,
         number=number,
-        # Only scripts that carry it run: one in a bag's strings cannot know it.
-        nonce=hashlib.sha256(data.encode()).hexdigest()[:32],
-        style=Markup((folder / "report.css").read_text(encoding="utf-8")),  # noqa: S704  # ours
-        script=Markup((folder / "report.js").read_text(encoding="utf-8")),  # noqa: S704  # ours
-        plotly=Markup(get_plotlyjs()),  # noqa: S704  # the library itself
-        data=data,
     )
-    file.write_text(page, encoding="utf-8")
 
 
 def number(value: float) -> str:

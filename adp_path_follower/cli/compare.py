@@ -19,13 +19,13 @@ from adp_path_follower.cli.options import (
     settings_options,
     simulator_options,
     start_options,
-    without_nodes,
     write_json,
 )
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import PATH_HELP, named_path
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.simulated_robot import without_nodes
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.comparison import Comparison, Outcome

@@ -22,6 +22,8 @@ _COMMANDS = {
     "recover": "Save what can be read of a torn recording into a new bag.",
     "replay": "Feed a bag's odometry to the controller again, with the same or other parameters.",
     "simulate": "Simulate the closed loop without ROS, from one or many starts.",
+    "sweep": "Simulate many settings on many starts, paths and robots, on all cores.",
+    "tune": "Search for better settings by simulation, on all cores.",
 }
 
 

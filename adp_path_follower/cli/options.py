@@ -14,15 +14,13 @@ from typing import Any, TypeVar
 import click
 import numpy as np
 
-from adp_path_follower.core.errors import FileError, SettingsError
+from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import PATH_HELP
-from adp_path_follower.core.schema import flatten, setting_fields
 from adp_path_follower.simulation import PAPER_START
-from sim_unicycle.fault_script import FaultScript, read_fault_script
-from sim_unicycle.settings import PlantSettings, SimulatorSettings
+from sim_unicycle.settings import SimulatorSettings
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -73,32 +71,6 @@ def load_simulator(file: Path | None, assignments: tuple[str, ...]) -> Simulator
 
     """
     return load_settings(SimulatorSettings, "unicycle_sim", file, assignments)
-
-
-def without_nodes(settings: SimulatorSettings) -> tuple[PlantSettings, FaultScript]:
-    """Return what a simulation without ROS takes of the simulator's settings.
-
-    Raises:
-        FileError: The fault script cannot be read.
-        SettingsError: Something is set, or in the script, that only the simulator node can do.
-
-    """
-    script = read_fault_script(settings.simulation.fault_script)
-    message_fault = script.changes_messages()
-    if message_fault:
-        raise SettingsError(
-            f"fault_script changes '{message_fault}', but there are no messages here: give it to "
-            "adp demo"
-        )
-    values, plain = flatten(settings), flatten(SimulatorSettings())
-    for field in setting_fields(SimulatorSettings):
-        taken = field.group == "plant" or field.name == "fault_script"
-        if not taken and values[field.name] != plain[field.name]:
-            raise SettingsError(
-                f"setting '{field.name}' is of the simulator node, which does not run here: leave "
-                "it out, or use adp demo"
-            )
-    return settings.plant, script
 
 
 def path_option(command: Command) -> Command:

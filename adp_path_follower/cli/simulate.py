@@ -18,7 +18,6 @@ from adp_path_follower.cli.options import (
     settings_options,
     simulator_options,
     start_options,
-    without_nodes,
     write_json,
 )
 from adp_path_follower.core.errors import FileError
@@ -29,6 +28,7 @@ from adp_path_follower.core.path import Path as PlanarPath
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.weights_file import read_weights
+from adp_path_follower.simulated_robot import without_nodes
 from adp_path_follower.simulation import (
     LEARNING_MODES,
     ControllerFactory,

@@ -46,7 +46,7 @@ def named_path(name: str, settings: PathSettings | None = None) -> Path:
         return Path.from_points([[0.0, 0.0], [_LINE_LENGTH, 0.0]], closed=False)
     if name.startswith("circle:"):
         return circle(_curvature(name))
-    if _is_file(name):
+    if is_path_file(name):
         return path_from_file(FilePath(os.path.expanduser(name)), settings)
     raise PathError(f"unknown path '{name}': use {PATH_HELP}")
 
@@ -96,12 +96,24 @@ def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path
         PathError: Its points make no path.
 
     """
-    points, closed = _points_in(file)
+    points, closed = read_points(file)
     try:
-        forwards = replace(settings or PathSettings(), allow_reversing=False)
-        return prepare(points, forwards, closed=closed).segments[0].path
+        return path_through(points, closed, settings)
     except PathError as error:
         raise PathError(f"path file {file}: {error}") from None
+
+
+def path_through(
+    points: FloatArray, closed: bool | None, settings: PathSettings | None = None
+) -> Path:
+    """Return the path along the points of a file, as `read_points` gives them.
+
+    Raises:
+        PathError: The points make no path.
+
+    """
+    forwards = replace(settings or PathSettings(), allow_reversing=False)
+    return prepare(points, forwards, closed=closed).segments[0].path
 
 
 def named_points(name: str, spacing: float) -> FloatArray:
@@ -115,10 +127,10 @@ def named_points(name: str, spacing: float) -> FloatArray:
         FileError: A file that is missing or of another format.
 
     """
-    if not _is_file(name):
+    if not is_path_file(name):
         return named_path(name).points(spacing)
     file = FilePath(os.path.expanduser(name))
-    points, closed = _points_in(file)
+    points, closed = read_points(file)
     try:
         distinct, _ = distinct_points(points)
         distinct, _ = joined(distinct, closed)
@@ -127,12 +139,18 @@ def named_points(name: str, spacing: float) -> FloatArray:
     return np.column_stack([distinct, np.full(len(distinct), np.nan)])
 
 
-def _is_file(name: str) -> bool:
+def is_path_file(name: str) -> bool:
+    """Return whether a name is that of a path file."""
     return FilePath(name).suffix.lower() in (".csv", ".yaml", ".yml")
 
 
-def _points_in(file: FilePath) -> tuple[FloatArray, bool | None]:
-    """Return the points of a file, and whether it says that the path is closed."""
+def read_points(file: FilePath) -> tuple[FloatArray, bool | None]:
+    """Return the points of a path file, shape (N, 2), and whether it says that it is closed.
+
+    Raises:
+        FileError: The file is missing or of another format.
+
+    """
     if file.suffix.lower() == ".csv":
         return read_csv_columns(file, ("x", "y")), None
     content = read_yaml(file)

@@ -1,0 +1,54 @@
+"""A page of figures and tables: one file that opens without network."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from adp_path_follower import __version__
+from adp_path_follower.core.errors import AdpError
+
+try:
+    import jinja2
+    from jinja2.utils import htmlsafe_json_dumps
+    from markupsafe import Markup
+    from plotly.io.json import to_json_plotly
+    from plotly.offline import get_plotlyjs
+except ImportError:
+    raise AdpError(
+        "the report needs Plotly and Jinja2: pip install 'adp_path_follower[report]'"
+    ) from None
+
+
+def write_page(file: Path, name: str, data: dict[str, Any], **content: Any) -> None:
+    """Write a page from the templates of a name: NAME.html.j2 and NAME.js.
+
+    Args:
+        file: Where to.
+        name: Of the templates; all pages share the style of the first.
+        data: What the script gets, figures above all.
+        content: What the template gets beside it.
+
+    """
+    folder = Path(__file__).parent / "templates"
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    # `<`, `>` and `&` are written as \u003c and so on: no string of the data can end the script.
+    coded = htmlsafe_json_dumps(data, dumps=to_json_plotly)
+    page = environment.get_template(f"{name}.html.j2").render(
+        **content,
+        version=__version__,
+        # Only scripts that carry it run: one in the data's strings cannot know it.
+        nonce=hashlib.sha256(coded.encode()).hexdigest()[:32],
+        style=Markup((folder / "report.css").read_text(encoding="utf-8")),  # noqa: S704  # ours
+        script=Markup((folder / f"{name}.js").read_text(encoding="utf-8")),  # noqa: S704  # ours
+        plotly=Markup(get_plotlyjs()),  # noqa: S704  # the library itself
+        data=coded,
+    )
+    file.write_text(page, encoding="utf-8")

@@ -1,0 +1,175 @@
+"""`adp tune`: search for better settings, on all cores or machines."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from adp_path_follower.cli.options import FILE, progress_bar, settings_options, write_json
+from adp_path_follower.sweeping.extra import require_extra
+
+if TYPE_CHECKING:  # Dask and Optuna are wanted when there is something to run
+    from adp_path_follower.sweeping.findings import Findings
+    from adp_path_follower.sweeping.tune_file import Tuning
+
+
+@click.command()
+@click.argument("file", type=FILE, metavar="[TUNE.yaml]", required=False)
+@settings_options
+@click.option(
+    "--vary",
+    multiple=True,
+    metavar="NAME[=RANGE]",
+    help="Without TUNE.yaml: a setting to tune, over its own range or as in "
+    "--vary 'actor_gain={low: 1.0, high: 50.0, log: true}'; the learner's rates and samples if "
+    "none is given.",
+)
+@click.option(
+    "--objective",
+    "objectives",
+    multiple=True,
+    metavar="NAME",
+    help="Without TUNE.yaml: what is to be small, cost if not given; several for a Pareto front.",
+)
+@click.option("--trials", type=click.IntRange(1), metavar="N", help="Number of settings to try.")
+@click.option(
+    "--out",
+    "directory",
+    type=FILE,
+    metavar="DIR",
+    help="Where the results go: a new directory, or that of the same tuning, which then goes on.",
+)
+@click.option(
+    "--storage",
+    metavar="URL",
+    help="Database of the trials, as in postgresql://user@host/name; machines with the same "
+    "storage tune together. A file in DIR if not given.",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run on the Dask cluster of this scheduler, as in tcp://host:8786, instead of all cores "
+    "of this machine.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    metavar="N",
+    help="Number of processes on this machine; as many as it has cores if not given.",
+)
+@click.option("--dry-run", is_flag=True, help="Say how many runs there are and how long they take.")
+def tune(
+    file: Path | None,
+    params: Path | None,
+    assignments: tuple[str, ...],
+    vary: tuple[str, ...],
+    objectives: tuple[str, ...],
+    trials: int | None,
+    directory: Path | None,
+    storage: str | None,
+    scheduler: str | None,
+    workers: int | None,
+    dry_run: bool,
+) -> None:
+    r"""Search for better settings by simulation, on all cores.
+
+    \b
+    The paper's laws:     adp tune config/sweeps/tune_paper.yaml --out tuned
+    Without a file:       adp tune --params config/paper.yaml --out tuned
+    One setting of mine:  adp tune --params mine.yaml --vary actor_gain --out tuned
+    How long it takes:    adp tune config/sweeps/tune_paper.yaml --dry-run
+
+    docs/sweeps.md explains TUNE.yaml. Settings that the validation refuses, or that are unstable
+    in any run, are never proposed. Prints what was found and which settings matter, and writes
+    best.yaml, which the node loads. An interrupted search goes on with the same command.
+    """
+    require_extra("adp tune")
+    from adp_path_follower.sweeping.tune_file import read_tuning, tuning_of_options, with_trials
+
+    if file is None:
+        asked = tuning_of_options(params, assignments, vary, objectives)
+    elif params is not None or assignments or vary or objectives:
+        raise click.UsageError(
+            "--params, --set, --vary and --objective are for a search without TUNE.yaml: put "
+            "them into the file"
+        )
+    else:
+        asked = read_tuning(file)
+    asked = with_trials(asked, trials)
+    title = str(file or params or "the default settings")
+    if dry_run:
+        _say_how_long(asked, scheduler, workers)
+        return
+    if directory is None:
+        raise click.UsageError("say where the results go: --out DIR")
+    _run(asked, title, directory, storage, scheduler, workers)
+
+
+def _say_how_long(asked: Tuning, scheduler: str | None, workers: int | None) -> None:
+    from adp_path_follower.sweeping.estimate import in_words
+    from adp_path_follower.sweeping.sweep import estimate
+
+    sweep = asked.runs_with(asked.conditions.settings)
+    found = estimate(sweep, scheduler, workers)
+    at_once = min(found.workers, asked.at_once)
+    seconds = found.seconds_each * sweep.runs * asked.trials / at_once
+    click.echo(
+        f"{asked.trials:,} settings with {sweep.runs:,} runs of {asked.conditions.duration:g} s "
+        f"each: {asked.trials * sweep.runs:,} runs"
+    )
+    click.echo(
+        f"about {in_words(seconds)} on {at_once} processes: a run with the settings before takes "
+        f"{found.seconds_each:.3f} s, measured here on a few of them"
+    )
+
+
+def _run(
+    asked: Tuning,
+    title: str,
+    directory: Path,
+    storage: str | None,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    from adp_path_follower.sweeping import cluster
+    from adp_path_follower.sweeping.estimate import in_words
+    from adp_path_follower.sweeping.findings import findings, findings_text
+    from adp_path_follower.sweeping.output_folder import OutputFolder
+    from adp_path_follower.sweeping.study import open_study, tried
+    from adp_path_follower.sweeping.study import tune as run_tuning
+
+    begun = time.monotonic()
+    with OutputFolder(directory, "tune", asked.description()):
+        place = storage or f"sqlite:///{(directory / 'study.db').absolute()}"
+        study = open_study(asked, place, shared=storage is not None)
+        there = len(tried(study))
+        if there:
+            click.echo(f"{there:,} of {asked.trials:,} trials are there already", err=True)
+        try:
+            with contextlib.ExitStack() as stack:
+                if there < asked.trials:
+                    found_workers = stack.enter_context(cluster.workers(scheduler, workers))
+                    progress = stack.enter_context(
+                        progress_bar(f"trying {asked.trials:,} settings")
+                    )
+                    run_tuning(study, asked, found_workers, progress)
+        except KeyboardInterrupt:
+            click.echo("\nadp: what is done stays: the same command goes on from it", err=True)
+            raise
+        found = findings(study, asked)
+        click.echo(findings_text(found))
+        _write(found, title, directory)
+    click.echo(f"\n{found.trials - there:,} trials in {in_words(time.monotonic() - begun)}")
+
+
+def _write(found: Findings, title: str, directory: Path) -> None:
+    from adp_path_follower.sweeping.findings import as_json, write_findings
+
+    files = write_findings(found, title, directory)
+    write_json(directory / "findings.json", as_json(found))
+    names = [*(file.name for file in files), "findings.json"]
+    click.echo(f"\nIn {directory}: {', '.join(names)}")

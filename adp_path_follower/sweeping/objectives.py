@@ -1,0 +1,100 @@
+"""What makes settings good: one number each over all runs with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+Columns = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A number that is to be small.
+
+    Attributes:
+        name: As files name it.
+        meaning: In words.
+        unit: Of the number.
+        of: Returns it from the columns of all runs with the same settings.
+
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    of: Callable[[Columns], float]
+
+
+def cost_column(columns: Columns) -> np.ndarray:
+    """Return J/J* of each run if it is known of all, J otherwise."""
+    known = np.isfinite(columns["optimal_cost"]).all()
+    return np.asarray(columns["cost_ratio" if known else "cost"], dtype=float)
+
+
+def _mean(name: str) -> Callable[[Columns], float]:
+    return lambda columns: float(np.mean(columns[name]))
+
+
+def _largest(name: str) -> Callable[[Columns], float]:
+    return lambda columns: float(np.max(columns[name]))
+
+
+OBJECTIVES = {
+    item.name: item
+    for item in (
+        Objective(
+            "cost",
+            "mean J/J* of the runs, or mean J where J* is not known of all",
+            "",
+            lambda columns: float(np.mean(cost_column(columns))),
+        ),
+        Objective(
+            "worst_case",
+            "greatest J/J* (or J) of any run: over starts, paths, robots and noise",
+            "",
+            lambda columns: float(np.max(cost_column(columns))),
+        ),
+        Objective("effort", "mean ∫ uᵀRu of the runs", "", _mean("effort")),
+        Objective(
+            "cross_track",
+            "RMS distance from the path after the transient, over all runs",
+            "m",
+            lambda columns: math.sqrt(float(np.mean(columns["cross_track_rms"] ** 2))),
+        ),
+        Objective(
+            "worst_cross_track",
+            "greatest distance from the path after the transient, of any run",
+            "m",
+            _largest("cross_track_max"),
+        ),
+        Objective(
+            "settling_time", "longest settling time of any run", "s", _largest("settling_time")
+        ),
+    )
+}
+
+
+def unstable_runs(columns: Columns) -> int:
+    """Return how many of the runs are not stable."""
+    return int((~columns["stable"].astype(bool)).sum())
+
+
+def pareto_front(points: np.ndarray) -> np.ndarray:
+    """Return which points no other is better than in everything: a mask, shape (N,).
+
+    Args:
+        points: Objectives that are to be small, shape (N, 2); points that are not finite never are
+            on the front.
+
+    """
+    front = np.zeros(len(points), dtype=bool)
+    least = math.inf
+    order = np.lexsort((points[:, 1], points[:, 0]))
+    for index in order[np.isfinite(points[order]).all(axis=1)]:
+        if points[index, 1] < least:
+            front[index], least = True, points[index, 1]
+    return front

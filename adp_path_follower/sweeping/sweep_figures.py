@@ -1,0 +1,182 @@
+"""The figures of a sweep, as Plotly has them: heat maps and the Pareto front."""
+
+from __future__ import annotations
+
+import html
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from adp_path_follower.analysis.page_figures import COLORS
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.sweeping.objectives import OBJECTIVES
+from adp_path_follower.sweeping.overview import Overview, shown
+from adp_path_follower.sweeping.ranges import Listed, Variation
+
+_MOST_MAPS = 6
+_BINS = 12  # of a range in a heat map, at most
+_MOST_POINTS = 3000  # that are drawn
+_HEIGHT = 420  # [px]
+
+
+def sweep_figures(found: Overview) -> dict[str, Any]:
+    """Return key -> figure (data and layout), in the order of the page."""
+    figures: dict[str, go.Figure] = {}
+    if len(found.sweep.objectives) > 1 and len(found.ranked):
+        figures["pareto"] = _pareto(found)
+    axes = _by_effect(found)
+    if len(axes) == 1:
+        figures["map_1"] = _curve(found, axes[0])
+    pairs = sorted(itertools.combinations(range(len(axes)), 2), key=sum)[:_MOST_MAPS]
+    for number, (first, second) in enumerate(pairs, start=1):
+        figures[f"map_{number}"] = _heat_map(found, axes[first], axes[second])
+    content = {key: figure.to_dict() for key, figure in figures.items()}
+    for item in content.values():
+        item["layout"].pop("template", None)  # the page has its own colours
+    return content
+
+
+class _Axis:
+    """What varies, in bins: those of its values, or stretches of its range."""
+
+    def __init__(self, item: Variation, found: Overview) -> None:
+        self.name = item.name
+        count = found.sweep.combinations
+        values = [found.values(number)[item.name] for number in range(count)]
+        if isinstance(item, Listed):
+            self.labels = [shown(value) for value in item.values]
+            place_of = {value: place for place, value in enumerate(item.values)}
+            self.bins = np.array([place_of[value] for value in values])
+            return
+        numbers = np.array(values, dtype=float)
+        bins = max(2, min(_BINS, int(math.sqrt(count))))
+        edges = np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, bins + 1)))
+        edges = edges if len(edges) > 1 else np.repeat(edges, 2)  # one value only
+        places = np.searchsorted(edges, numbers, side="right") - 1
+        self.bins = np.clip(places, 0, len(edges) - 2)
+        self.labels = [f"{low:.3g} to {high:.3g}" for low, high in itertools.pairwise(edges)]
+
+    def effect(self, score: FloatArray) -> float:
+        """Return how much of the spread of a score the bins of this axis explain."""
+        known = np.isfinite(score)
+        total = float(np.var(score[known])) if known.any() else 0.0
+        if not total:
+            return 0.0
+        mean = score[known].mean()
+        groups = [score[known & (self.bins == place)] for place in range(len(self.labels))]
+        between = sum(len(some) * (some.mean() - mean) ** 2 for some in groups if len(some))
+        return float(between / known.sum() / total)
+
+
+def _by_effect(found: Overview) -> list[_Axis]:
+    """Return what varies, what matters most first."""
+    score = _score(found)
+    # Ranks: a few combinations that are much worse would decide alone.
+    ranks = np.full(len(score), math.nan)
+    known = np.isfinite(score)
+    ranks[known] = np.argsort(np.argsort(score[known]))
+    axes = [_Axis(item, found) for item in found.sweep.variations]
+    return sorted(axes, key=lambda axis: -axis.effect(ranks))
+
+
+def _score(found: Overview) -> FloatArray:
+    """Return the first objective; NaN where a run is unstable."""
+    score = found.scores[found.sweep.objectives[0]]
+    return np.where(found.unstable == 0, score, math.nan)
+
+
+def _heat_map(found: Overview, first: _Axis, second: _Axis) -> go.Figure:
+    """Return the median of the first objective over all else that varies."""
+    score = _score(found)
+    median = np.full((len(second.labels), len(first.labels)), math.nan)
+    text = np.full(median.shape, "", dtype=object)
+    for row, column in np.ndindex(*median.shape):
+        inside = (second.bins == row) & (first.bins == column)
+        stable = inside & np.isfinite(score)
+        if stable.any():
+            median[row, column] = np.median(score[stable])
+        if inside.any():
+            text[row, column] = f"{int(stable.sum())} of {int(inside.sum())} stable"
+    figure = go.Figure(
+        go.Heatmap(
+            x=first.labels,
+            y=second.labels,
+            z=_nones(median),
+            customdata=text,
+            colorscale="Viridis",
+            reversescale=True,
+            colorbar={"title": {"text": found.sweep.objectives[0], "side": "right"}},
+            hoverongaps=False,
+            hovertemplate="%{x}, %{y}: %{z:.5g}, %{customdata}<extra></extra>",
+        )
+    )
+    figure.update_xaxes(title_text=first.name, type="category")
+    figure.update_yaxes(title_text=second.name, type="category", automargin=True)
+    figure.update_layout(height=_HEIGHT)
+    return figure
+
+
+def _curve(found: Overview, axis: _Axis) -> go.Figure:
+    """Return the median of the first objective over the one thing that varies."""
+    score = _score(found)
+    groups = [score[(axis.bins == place) & np.isfinite(score)] for place in range(len(axis.labels))]
+    medians = np.array([np.median(some) if len(some) else math.nan for some in groups])
+    figure = go.Figure()
+    figure.add_scatter(
+        x=axis.labels,
+        y=_nones(medians),
+        mode="lines+markers",
+        line={"color": COLORS[0]},
+        hovertemplate="%{x}: %{y:.5g}<extra></extra>",
+    )
+    figure.update_xaxes(title_text=axis.name, type="category")
+    figure.update_yaxes(title_text=found.sweep.objectives[0])
+    figure.update_layout(height=_HEIGHT, showlegend=False)
+    return figure
+
+
+def _pareto(found: Overview) -> go.Figure:
+    """Return all stable combinations by the first two objectives, and the front."""
+    first, second = found.sweep.objectives[:2]
+    front, ranked = found.front, found.ranked
+    spread = np.linspace(0, len(ranked) - 1, min(len(ranked), _MOST_POINTS)).astype(int)
+    figure = go.Figure()
+    for numbers, name, mode, color in (
+        (ranked[spread], "settings", "markers", "rgba(128,128,128,0.55)"),
+        (front, "Pareto front", "lines+markers", COLORS[1]),
+    ):
+        figure.add_scatter(
+            x=_nones(found.scores[first][numbers]),
+            y=_nones(found.scores[second][numbers]),
+            mode=mode,
+            name=name,
+            line={"color": color, "shape": "hv"},
+            marker={"size": 9 if mode != "markers" else 6, "color": color},
+            text=[_described(found, int(number)) for number in numbers],
+            hovertemplate="%{text}<br>%{x:.5g}, %{y:.5g}<extra></extra>",
+        )
+    figure.update_xaxes(title_text=_title(first))
+    figure.update_yaxes(title_text=_title(second))
+    figure.update_layout(height=_HEIGHT, showlegend=True)
+    return figure
+
+
+def _described(found: Overview, number: int) -> str:
+    values = found.values(number)
+    text = ", ".join(f"{name}: {shown(value)}" for name, value in values.items())
+    return html.escape(text, quote=False)  # Plotly would take tags for its own
+
+
+def _title(name: str) -> str:
+    unit = OBJECTIVES[name].unit
+    return f"{name} [{unit}]" if unit else name
+
+
+def _nones(values: np.ndarray) -> list[Any]:
+    """Return numbers as JSON has them: nothing where there is none."""
+    if values.ndim > 1:
+        return [_nones(row) for row in values]
+    return [float(value) if math.isfinite(value) else None for value in values]
