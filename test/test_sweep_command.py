@@ -39,7 +39,13 @@ learning: frozen
 duration: 2.0
 rate: 50.0
 """
-SMALL = f"params: {PAPER}\nsettings: {{target_gain: [0.1, 0.2]}}\nlearning: frozen\nduration: 1.0\nstarts: [[0.1, 0.1, 0.1]]\n"
+SMALL = f"""
+params: {PAPER}
+settings: {{target_gain: [0.1, 0.2]}}
+starts: [[0.1, 0.1, 0.1]]
+learning: frozen
+duration: 1.0
+"""
 
 
 def command(*arguments: str | Path) -> list[str]:

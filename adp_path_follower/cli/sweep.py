@@ -49,9 +49,9 @@ def sweep(
     r"""Simulate many settings on many starts, paths and robots, on all cores.
 
     \b
-    How long would it take:   adp sweep config/sweeps/paper_gains.yaml --dry-run
-    Run it, or go on with it: adp sweep config/sweeps/paper_gains.yaml --out gains
-    On a cluster:             adp sweep SWEEP.yaml --out gains --scheduler tcp://host:8786
+    How long?           adp sweep SWEEP.yaml --dry-run
+    Run it, or go on:   adp sweep config/sweeps/paper_gains.yaml --out gains
+    On a Dask cluster:  adp sweep SWEEP.yaml --out DIR --scheduler tcp://host:8786
 
     docs/sweeps.md explains SWEEP.yaml. Writes the runs as Parquet files, one after the other: an
     interrupted sweep goes on where it was when the same command is given again. At the end,

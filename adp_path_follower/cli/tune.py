@@ -80,8 +80,8 @@ def tune(
     \b
     The paper's laws:     adp tune config/sweeps/tune_paper.yaml --out tuned
     Without a file:       adp tune --params config/paper.yaml --out tuned
-    One setting of mine:  adp tune --params mine.yaml --vary actor_gain --out tuned
-    How long it takes:    adp tune config/sweeps/tune_paper.yaml --dry-run
+    One setting of mine:  adp tune --params my.yaml --vary actor_gain --out DIR
+    How long it takes:    adp tune TUNE.yaml --dry-run
 
     docs/sweeps.md explains TUNE.yaml. Settings that the validation refuses, or that are unstable
     in any run, are never proposed. Prints what was found and which settings matter, and writes

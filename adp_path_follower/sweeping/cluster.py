@@ -11,6 +11,7 @@ from concurrent.futures import CancelledError
 from typing import Any, TypeVar
 
 from distributed import Client, LocalCluster, as_completed
+from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.scheduler import KilledWorker
 
 from adp_path_follower import __version__
@@ -84,7 +85,7 @@ class Workers:
             under_way.update(begun)
             return list(begun)
 
-        finished = as_completed(begin(_WAITING_EACH * self.count))
+        finished = as_completed(begin(_WAITING_EACH * self.count), loop=self._client.loop)
         for future in finished:
             found = self.result(future)
             yield under_way.pop(future), found
@@ -134,6 +135,8 @@ def _local(count: int | None) -> Iterator[Client]:
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Client]:
     try:
+        # Of an address without a port Dask's client would say so, and never end.
+        parse_host_port(parse_address(address)[1])
         client = Client(address, timeout=_CONNECTING, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -78,13 +78,16 @@ def run_sweep(
     with PartsFolder(directory, plan) as folder:
         missing = folder.missing()
         open_runs = sum(len(plan.runs_of(number)) for number in missing)
-        progress = begin(sweep.runs, sweep.runs - open_runs)
-        if missing:
-            with workers(address, count) as found:
-                parts = (plan.part(number) for number in missing)
-                for done, (part, columns) in enumerate(found.results(work_off, parts), start=1):
-                    folder.add(part.number, columns)
-                    progress(done / len(missing))
+        there = sweep.runs - open_runs
+        if not missing:
+            begin(sweep.runs, there)(1.0)
+            return overview(sweep, folder.combinations())
+        with workers(address, count) as found:
+            progress = begin(sweep.runs, there)
+            parts = (plan.part(number) for number in missing)
+            for done, (part, columns) in enumerate(found.results(work_off, parts), start=1):
+                folder.add(part.number, columns)
+                progress(done / len(missing))
         return overview(sweep, folder.combinations())
 
 
