@@ -49,7 +49,7 @@ def sweep(
     r"""Simulate many settings on many starts, paths and robots, on all cores.
 
     \b
-    How long?           adp sweep SWEEP.yaml --dry-run
+    How long?           adp sweep --dry-run SWEEP.yaml
     Run it, or go on:   adp sweep config/sweeps/paper_gains.yaml --out gains
     On a Dask cluster:  adp sweep SWEEP.yaml --out DIR --scheduler tcp://host:8786
 
