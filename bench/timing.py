@@ -63,7 +63,7 @@ def machine() -> dict[str, str]:
 
 
 def time_of(call: Callable[[], object], calls: int) -> float:
-    """Return the mean processor time of a call [µs], in which others on the machine do not count."""
+    """Return the mean processor time of a call [µs]; what else the machine does is not in it."""
     start = time.thread_time()
     for _ in range(calls):
         call()
