@@ -48,6 +48,7 @@ class Row:
         alone: What one run took alone, median [s].
         ratio: How many times faster a run is among the others.
         simulated: Simulated seconds, summed over the runs, each second of wall time.
+        simulated_by_cpu: The same, each second of this process's computing time.
         difference: Largest relative difference between J of a run alone and among the others.
 
     """
@@ -59,6 +60,7 @@ class Row:
     alone: float
     ratio: float
     simulated: float
+    simulated_by_cpu: float
     difference: float
 
 
@@ -75,8 +77,7 @@ def run(file: str, learning: str, errors: FloatArray, duration: float) -> Simula
 
 def measure(file: str, learning: str, runs: int, duration: float) -> Row:
     """Return the times of a batch and of some of its runs alone."""
-    errors, times, differences = starts(runs), [], []
-    costs = np.zeros(runs)
+    errors, times = starts(runs), []
     chosen = np.linspace(0, runs - 1, min(ALONE, runs)).astype(int)
     alone: dict[int, float] = {}
 
@@ -87,9 +88,9 @@ def measure(file: str, learning: str, runs: int, duration: float) -> Row:
             times.append(time.perf_counter() - begun)
 
     one_at_a_time(chosen[::2])
-    begun = time.perf_counter()
+    begun, computed = time.perf_counter(), time.process_time()
     costs = run(file, learning, errors, duration).cost
-    seconds = time.perf_counter() - begun
+    seconds, computed = time.perf_counter() - begun, time.process_time() - computed
     one_at_a_time(chosen[1::2])
     differences = [abs(cost / costs[number] - 1.0) for number, cost in alone.items()]
     single = float(np.median(times))
@@ -101,6 +102,7 @@ def measure(file: str, learning: str, runs: int, duration: float) -> Row:
         alone=single,
         ratio=single * runs / seconds,
         simulated=runs * duration / seconds,
+        simulated_by_cpu=runs * duration / computed,
         difference=max(differences),
     )
 
@@ -139,7 +141,7 @@ def main() -> None:
         rows.append(row)
         print(
             f"| {file} | {learning} | {row.seconds:.1f} s | {row.alone:.2f} s | {row.ratio:.0f} | "
-            f"{row.simulated:.0f} | {row.difference:.0e} |",
+            f"{row.simulated:.0f} | {row.simulated_by_cpu:.0f} | {row.difference:.0e} |",
             flush=True,
         )
     print(f"\nPeak memory [MB] of a process, runs of {MEMORY_DURATION:g} s")
