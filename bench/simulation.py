@@ -132,9 +132,10 @@ def main() -> None:
     print(f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}")
     print(f"{arguments.runs} runs of {arguments.duration:g} s at 100 Hz along the figure eight")
     print(
-        "| parameters | learning | at once | one alone | ratio | simulated s/s | difference in J |"
+        "| parameters | learning | at once | one alone | ratio | simulated s/s "
+        "| by computing time | difference in J |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---" * 8 + "|")
     rows = []
     for file, learning in CASES:
         row = measure(file, learning, arguments.runs, arguments.duration)
