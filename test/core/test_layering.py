@@ -92,7 +92,7 @@ def test_the_core_imports_only_itself_and_numbers(file):
             ), f"{file.name} imports {name}"
 
 
-@pytest.mark.parametrize("layer", ["bags", "analysis", "simulation"])
+@pytest.mark.parametrize("layer", ["bags", "analysis", "simulation", "sweeping"])
 def test_middle_layers_import_no_nodes_and_no_command_line(layer):
     above = ("adp_path_follower.nodes", "adp_path_follower.cli", "sim_unicycle.node", "rclpy")
     for file in PRODUCT:
