@@ -182,7 +182,7 @@ def test_a_sweep_on_a_cluster_is_the_same(tmp_path):
     file, out = tmp_path / "sweep.yaml", tmp_path / "out"
     file.write_text(SMALL)
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
     ) as cluster:
         address = cluster.scheduler_address
         done = adp("sweep", file, "--out", out, "--scheduler", address)

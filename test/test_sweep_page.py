@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("plotly", reason="the report needs the extra 'sweep'")
+pytest.importorskip("distributed", reason="the extra 'sweep' is not installed")
 
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.settings import Settings

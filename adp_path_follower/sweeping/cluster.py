@@ -105,14 +105,20 @@ def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
         AdpError: The scheduler does not answer, has no workers, or they lack this version.
 
     """
-    # What Dask says of lost connections are tracebacks; what matters is said here.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    _silence()
     if address is None:
         with _local(count) as client:
             yield Workers(client)
         return
     with _connected(address) as client:
         yield Workers(client)
+
+
+def _silence() -> None:
+    """Keep Dask's tracebacks of lost connections to itself; what matters is said here."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @contextlib.contextmanager
@@ -124,7 +130,7 @@ def _local(count: int | None) -> Iterator[Client]:
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # any port: other commands may run beside
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,

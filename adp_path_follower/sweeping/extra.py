@@ -21,3 +21,9 @@ def require_extra(command: str) -> None:
         raise AdpError(
             f"{command} needs {', '.join(missing)}: pip install 'adp_path_follower[sweep]'"
         )
+    try:
+        import pyarrow  # noqa: F401  # only whether it can be: it asks for a numpy of its time
+    except ImportError as error:
+        raise AdpError(
+            f"{command} needs another pyarrow ({error}): with numpy 1, pip install 'pyarrow<26'"
+        ) from None
