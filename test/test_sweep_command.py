@@ -139,6 +139,27 @@ def test_killed_worker_and_killed_command_cost_nothing_but_time(tmp_path):
     check_refusals(file, out)
 
 
+def test_ctrl_c_is_answered_in_words(tmp_path):
+    """A terminal sends it to every process; only the command says something."""
+    file, out = tmp_path / "sweep.yaml", tmp_path / "out"
+    file.write_text(SWEEP)
+    running = subprocess.Popen(
+        command("sweep", file, "--out", out, "--workers", "1"),
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    until(
+        lambda: list((out / "runs").glob("part-*.parquet")) or running.poll() is not None,
+        "the first part",
+    )
+    os.killpg(running.pid, signal.SIGINT)
+    _, told = running.communicate(timeout=TIMEOUT)
+    assert running.returncode == 130
+    assert "the same command goes on from it" in told
+    assert "Traceback" not in told
+
+
 def check_what_was_written(file: Path, out: Path, found: dict[str, np.ndarray]) -> None:
     """The best settings are those with the least mean cost, and any node can load them."""
     sweep = read_sweep(file)

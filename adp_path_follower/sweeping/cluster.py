@@ -22,6 +22,8 @@ Work = TypeVar("Work")
 _CONNECTING = 5.0  # [s] that a scheduler has to answer
 _FIRST_WORKER = 30.0  # [s] that a scheduler has to find a worker
 _WAITING_EACH = 2  # pieces of work for each worker: it never waits for the next
+# Run by each worker: Ctrl-C, which the whole terminal gets, is the command's to answer.
+_NO_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 _RETRIES = 2  # of work that failed where it was done; a worker that dies is another thing
 
 
@@ -132,6 +134,7 @@ def _local(count: int | None) -> Iterator[Client]:
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",  # any port: other commands may run beside
             silence_logs=logging.CRITICAL,
+            preload=[_NO_INTERRUPT],
         ) as cluster,
         Client(cluster) as client,
     ):
