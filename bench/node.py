@@ -1,0 +1,268 @@
+"""Measure the controller node against a bare rclpy relay of the same messages, in turns.
+
+    python bench/node.py [--seconds 10] [--rounds 3] [--memory 600] [--json FILE]
+
+Relay and controllers are processes on DDS domains of their own. The bench sends odometry at 20, 50,
+100 and 200 Hz to one after the other, of a robot that drives on a circle as it is told, and waits
+for the command that answers it (`control_trigger: odometry`). Processor time is that of the process
+while it is its turn; latency is from before a message is published until its command was received.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from timing import Row, arguments, report
+
+from adp_path_follower.core.geometry import FloatArray, advance_pose
+from adp_path_follower.core.path_library import circle
+from adp_path_follower.nodes.conversions import odometry_message, path_message, stamp_nanoseconds
+from adp_path_follower.nodes.processes import NodeProcess, own_domain
+
+_RATES = (20.0, 50.0, 100.0, 200.0)
+_CONTROLLER = {"control_trigger": "odometry", "path_start": "beginning"}
+_WARM_UP = 1200  # messages: the first 1000 steps are told to those who may join late
+_PATIENCE = 60.0  # [s]
+_RELAY = Path(__file__).with_name("relay.py")
+_TICKS = os.sysconf("SC_CLK_TCK")
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+class Contender:
+    """A node under test in a process of its own, and who talks to it."""
+
+    def __init__(self, name: str, domain: int, folder: Path, parameters: dict[str, Any] | None):
+        """Start the controller with parameters, or without them the relay."""
+        self.name = name
+        self._context = rclpy.Context()
+        self._context.init(domain_id=domain)
+        self._node = rclpy.create_node(f"bench_{domain}", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._odometry = self._node.create_publisher(Odometry, "odom", 10)
+        self._path = self._node.create_publisher(PathMessage, "path", latched)
+        self._path.publish(path_message(circle(0.5), "odom", 0, 0.05))
+        self._node.create_subscription(TwistStamped, "cmd_vel", self._receive, 10)
+        self._sent: dict[int, float] = {}
+        self.latency: list[float] = []
+        self.moved = False
+        self._pose: FloatArray = np.array([0.0, -0.1, 0.1])
+        self._twist = (0.0, 0.0)
+        self._log = folder / f"{name}_{time.monotonic_ns()}.log"
+        self._begun = time.perf_counter()
+        self.process = self._start(domain, parameters)
+
+    def _start(
+        self, domain: int, parameters: dict[str, Any] | None
+    ) -> subprocess.Popen[bytes] | subprocess.Popen[str]:
+        if parameters is not None:
+            node = NodeProcess("controller", parameters, log=self._log, domain=domain)
+            return node.process
+        with self._log.open("wb") as output:
+            return subprocess.Popen(  # noqa: S603  # our own script
+                [sys.executable, str(_RELAY)],
+                env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                process_group=0,
+            )
+
+    def _receive(self, command: TwistStamped) -> None:
+        arrived = time.perf_counter()
+        sent = self._sent.pop(stamp_nanoseconds(command.header), None)
+        if sent is None:  # a stop, which no odometry asked for
+            return
+        self.latency.append(arrived - sent)
+        self._twist = (command.twist.linear.x, command.twist.angular.z)
+        self.moved = True
+
+    def feed(self, rate: float, enough: Callable[[int], bool]) -> None:
+        """Send odometry at a rate [Hz] until so many messages are enough."""
+        count, due = 0, time.perf_counter()
+        while not enough(count):
+            stamp = int(self._node.get_clock().now().nanoseconds)
+            self._pose = advance_pose(self._pose, *self._twist, 1.0 / rate)
+            message = odometry_message(stamp, self._pose, np.array(self._twist), ("odom", "base"))
+            self._sent[stamp] = time.perf_counter()
+            self._odometry.publish(message)
+            count, due = count + 1, due + 1.0 / rate
+            while (left := due - time.perf_counter()) > 0.0:
+                self._executor.spin_once(timeout_sec=left)
+
+    def started(self) -> float:
+        """Return how long it took from the start to the first command [s].
+
+        Raises:
+            SystemExit: There was none.
+
+        """
+        end = time.perf_counter() + _PATIENCE
+        self.feed(100.0, lambda _: self.moved or time.perf_counter() > end)
+        if not self.moved:
+            sys.exit(f"{self.name} sent no command within {_PATIENCE:g} s: {self._log}")
+        return time.perf_counter() - self._begun
+
+    def processor_time(self) -> float:
+        """Return the processor time that the process has used [s]."""
+        stat = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="utf-8")
+        user, system = stat.rpartition(")")[2].split()[11:13]
+        return (int(user) + int(system)) / _TICKS
+
+    def memory(self) -> float:
+        """Return the resident memory [MB]."""
+        pages = Path(f"/proc/{self.process.pid}/statm").read_text(encoding="utf-8").split()[1]
+        return int(pages) * _PAGE / 1e6
+
+    def close(self) -> None:
+        """End the process, and leave the domain."""
+        os.killpg(self.process.pid, signal.SIGINT)
+        try:
+            self.process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+KINDS: dict[str, dict[str, Any] | None] = {
+    "relay": None,
+    "controller": _CONTROLLER,
+    "controller, not learning": {**_CONTROLLER, "learning": False},
+}
+
+
+def turns(folder: Path, rounds: int, seconds: float) -> list[Row]:
+    """Return processor time and latency at every rate."""
+    rows = []
+    with ExitStack() as stack:
+        contenders = []
+        for name, parameters in KINDS.items():
+            contender = Contender(name, stack.enter_context(own_domain()), folder, parameters)
+            stack.callback(contender.close)
+            contenders.append(contender)
+        for contender in contenders:
+            contender.started()
+            contender.feed(200.0, lambda count: count >= _WARM_UP)
+        for rate in _RATES:
+            used = {contender.name: 0.0 for contender in contenders}
+            latency: dict[str, list[float]] = {contender.name: [] for contender in contenders}
+            for _ in range(rounds):
+                for contender in contenders:
+                    contender.latency.clear()
+                    before, wanted = contender.processor_time(), round(seconds * rate)
+                    contender.feed(rate, lambda count, wanted=wanted: count >= wanted)
+                    used[contender.name] += contender.processor_time() - before
+                    if not contender.latency:
+                        sys.exit(f"{contender.name} answered nothing at {rate:g} Hz")
+                    latency[contender.name] += contender.latency
+            print(f"{rate:g} Hz done", file=sys.stderr)
+            rows += _rows(rate, used, latency, rounds * seconds)
+    return rows
+
+
+def _rows(
+    rate: float, used: dict[str, float], latency: dict[str, list[float]], duration: float
+) -> list[Row]:
+    rows = []
+    for name in used:
+        target = None if name == "relay" else 1.5
+        median = {kind: float(np.median(latency[kind])) for kind in ("relay", name)}
+        slow = {kind: float(np.quantile(latency[kind], 0.99)) for kind in ("relay", name)}
+        heading = f"{rate:g} Hz, {name}"
+        share = used[name] / max(used["relay"], 1e-9)
+        late, late_99 = median[name] / median["relay"], slow[name] / slow["relay"]
+        percent = 100.0 * used[name] / duration
+        rows += [
+            Row(f"{heading}: processor", percent, "% of a core", share, "relay", target),
+            Row(f"{heading}: latency, median", 1e3 * median[name], "ms", late, "relay", target),
+            Row(f"{heading}: latency, 99 %", 1e3 * slow[name], "ms", late_99, "relay"),
+        ]
+    return rows
+
+
+def starts(folder: Path, rounds: int) -> list[Row]:
+    """Return how long it takes from the start of the process to the first command."""
+    times: dict[str, list[float]] = {name: [] for name in ("relay", "controller")}
+    for _ in range(rounds):
+        for name, found in times.items():
+            with own_domain() as domain:
+                contender = Contender(name, domain, folder, KINDS[name])
+                try:
+                    found.append(contender.started())
+                finally:
+                    contender.close()
+    relay = float(np.median(times["relay"]))
+    return [
+        Row(
+            f"start to first command, {name}",
+            float(np.median(found)),
+            "s",
+            float(np.median(found)) / relay,
+            "relay",
+            None if name == "relay" else 1.5,
+        )
+        for name, found in times.items()
+    ]
+
+
+def memory(folder: Path, seconds: float) -> list[Row]:
+    """Return the memory of a controller after some time at 100 Hz, and how fast it grows then."""
+    with own_domain() as domain:
+        contender = Contender("controller", domain, folder, _CONTROLLER)
+        try:
+            contender.started()
+            contender.feed(200.0, lambda count: count >= _WARM_UP)
+            found = []
+            step = seconds / 60.0
+            for _ in range(60):
+                contender.feed(100.0, lambda count: count >= math.ceil(100.0 * step))
+                found.append(contender.memory())
+        finally:
+            contender.close()
+    late = np.array(found[20:])
+    slope = np.polyfit(step * np.arange(len(late)) / 60.0, late, 1)[0]
+    return [
+        Row(f"memory of the controller after {seconds:g} s", found[-1], "MB"),
+        Row(f"its growth in the last two thirds of {seconds:g} s", 1e3 * float(slope), "kB/min"),
+    ]
+
+
+def main() -> None:
+    """Print the table, and write the results if asked."""
+    parser = arguments(__doc__)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each turn")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each node at each rate")
+    parser.add_argument("--memory", type=float, default=600.0, help="seconds of driving; 0 skips")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        rows = [*turns(folder, given.rounds, given.seconds), *starts(folder, given.rounds)]
+        if given.memory > 0.0:
+            rows += memory(folder, given.memory)
+    report(rows, given.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""A bare node: every odometry message is answered by a command. What rclpy itself costs."""
+
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.qos import qos_profile_sensor_data
+
+
+def main() -> None:
+    """Relay until the process is ended."""
+    rclpy.init()
+    node = rclpy.create_node("relay")
+    publisher = node.create_publisher(TwistStamped, "cmd_vel", 10)
+
+    def relay(message: Odometry) -> None:
+        command = TwistStamped()
+        command.header.stamp = message.header.stamp
+        command.header.frame_id = message.child_frame_id
+        command.twist.linear.x = message.pose.pose.position.x
+        command.twist.angular.z = message.pose.pose.orientation.z
+        publisher.publish(command)
+
+    node.create_subscription(Odometry, "odom", relay, qos_profile_sensor_data)
+    rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    main()
