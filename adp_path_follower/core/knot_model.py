@@ -13,6 +13,7 @@ curvature and in the speed v_des, so what is prepared once serves every knot of 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,6 @@ from scipy.stats import qmc
 
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.settings import Settings
 
 _INNER_SHARE = 0.3  # of the samples: scaled towards the origin, where the linear policy is decided
@@ -82,7 +82,7 @@ def fit(equations: NormalEquations) -> KnotFit:
     factor, failed = dpotrf(scaled, lower=1)
     if failed or not math.isfinite(float(factor.sum())):
         return KnotFit(np.full(len(scale), np.nan), math.inf, 0.0)
-    excitation, _ = dpocon(factor, 1.0, uplo="L")  # times the norm of M it would be 1 / cond(M)
+    excitation, _ = dpocon(factor, 1.0, uplo="L")  # with the norm of M, its condition
     solution, _ = dpotrs(factor, -equations.vector * scale, lower=1)
     weights = solution * scale
     remaining = weights @ equations.matrix @ weights + 2.0 * weights @ equations.vector
@@ -92,22 +92,6 @@ def fit(equations: NormalEquations) -> KnotFit:
         residual=math.sqrt(squared / max(equations.running_cost, 1e-300)),
         excitation=float(excitation),
     )
-
-
-@dataclass(frozen=True)
-class _Drift:
-    """What of the model depends on the speed along the path, for N samples.
-
-    Attributes:
-        straight: sigma' f at kappa = 0, shape (N, L).
-        turning: Its change with kappa, shape (N, L).
-        passing: sigma s_p' / h, shape (N, L).
-
-    """
-
-    straight: FloatArray
-    turning: FloatArray
-    passing: FloatArray
 
 
 class KnotModel:
@@ -126,35 +110,23 @@ class KnotModel:
         self.states = scattered_samples(
             learning.sample_count, learning.sample_half_widths[:3], learning.sample_seed
         )
-        zeta = np.column_stack([self.states, np.zeros(len(self.states))])
-        basis, target = learning.value_basis, settings.target
-        gradient, value = basis.gradient(zeta), basis.value(zeta)
-
-        def drift(v_des: float) -> _Drift:
-            nowhere, fast = np.zeros(len(zeta)), np.full(len(zeta), v_des)
-            straight = error_dynamics.drift(zeta, nowhere, target, fast)
-            turning = error_dynamics.drift(zeta, nowhere + 1.0, target, fast) - straight
-            speed = error_dynamics.target_speed(zeta, target, fast)
-            return _Drift(
-                np.einsum("nlz,nz->nl", gradient, straight),
-                np.einsum("nlz,nz->nl", gradient, turning),
-                value * speed[:, None] / spacing,
-            )
-
-        self._drift = drift(target.desired_speed)
-        if varies:  # it is affine in v_des
-            self._still, fast = drift(0.0), drift(1.0)
-            self._by_speed = _Drift(
-                fast.straight - self._still.straight,
-                fast.turning - self._still.turning,
-                fast.passing - self._still.passing,
-            )
-        input_gradient = np.matmul(gradient, error_dynamics.input_matrix(zeta))
-        self._linear = np.ascontiguousarray(input_gradient[..., 0])  # sigma' g, (N, L) each
-        self._angular = np.ascontiguousarray(input_gradient[..., 1])
-        self._target, self._limits = target, settings.limits
-        self._input_cost = settings.cost.input_cost_matrix()
-        self._half_inverse = -0.5 * np.linalg.inv(self._input_cost)
+        self._desired_speed, self._limits = settings.target.desired_speed, settings.limits
+        self._lowest, self._highest = (
+            bound[:, None] for bound in (self._limits.lower, self._limits.upper)
+        )
+        # What regressors are combined of at each sample, (N, K, L): one product of small matrices a
+        # sample takes a third of the time that operations on whole arrays do.
+        self._terms = _terms(self.states, settings, spacing, varies)
+        products = np.matmul(self._terms, np.swapaxes(self._terms, 1, 2))  # (N, K, K)
+        kinds = 4 if varies else 2  # of the drift
+        self._drift_products = products[:, 2 : 2 + kinds, 2 : 2 + kinds].reshape(-1, kinds**2)
+        self._mixed_products = 2.0 * np.swapaxes(products[:, :2, 2 : 2 + kinds], 0, 1)
+        self._input_products = np.array(
+            [products[:, 0, 0], 2.0 * products[:, 0, 1], products[:, 1, 1]]
+        )
+        cost = settings.cost.input_cost_matrix()
+        self._input_cost = cost[0, 0], cost[0, 1] + cost[1, 0], cost[1, 1]
+        self._half_inverse = -0.5 * np.linalg.inv(cost)
         self._state_cost = np.einsum(
             "ni,ij,nj->n", self.states, settings.cost.state_cost_matrix(), self.states
         )
@@ -182,22 +154,31 @@ class KnotModel:
             v_des: Speed [m/s] there, if it is another than `desired_speed`.
 
         """
-        linear, angular = self._linear[samples], self._angular[samples]
-        # One input after the other in memory: the operations on all samples then are fast.
-        inputs = (self._half_inverse @ np.array([linear @ ahead, angular @ ahead])).T
+        terms = self._terms[samples]
+        count, kinds, size = terms.shape
+        by_speed = np.array([1.0] if v_des is None else [1.0, v_des])
+        drift = np.multiply.outer(by_speed, [1.0, curvature]).ravel()
+        forward = (terms.reshape(-1, size) @ ahead).reshape(count, kinds).T  # of the knot ahead
+        inputs = self._half_inverse @ forward[:2]
         if not self._limits.unlimited:
-            speed = None if v_des is None else np.asarray(v_des)
-            feedforward = error_dynamics.feedforward(np.asarray(curvature), self._target, speed)
-            inputs = saturate(inputs, feedforward, self._limits)
-        regressor, passing = self._drift_at(samples, curvature, v_des)
-        regressor += inputs[:, :1] * linear
-        regressor += inputs[:, 1:] * angular
-        importance = self._importance[samples] / (1.0 + np.einsum("nl,nl->n", regressor, regressor))
-        running_cost = self._state_cost[samples] + (inputs @ self._input_cost * inputs).sum(axis=1)
-        constant = running_cost + passing @ ahead
-        regressor -= passing
+            speed = self._desired_speed if v_des is None else v_des
+            feedforward = np.array([[speed], [speed * curvature]])
+            inputs = np.maximum(inputs, self._lowest - feedforward)
+            inputs = np.minimum(inputs, self._highest - feedforward)
+        squared_norm = _quadratic(
+            self._input_products[:, samples],
+            inputs,
+            self._drift_products[samples] @ np.multiply.outer(drift, drift).ravel(),
+            self._mixed_products[:, samples] @ drift,
+        )
+        importance = self._importance[samples] / (1.0 + squared_norm)
+        running_cost = _quadratic(self._input_cost, inputs, self._state_cost[samples])
+        constant = running_cost + by_speed @ forward[-len(by_speed) :]
         root = np.sqrt(importance)
-        weighted = regressor * root[:, None]
+        shares = np.empty((kinds, count))  # of each term in the regressor less sigma s_p' / h
+        shares[:2], shares[2:] = inputs, np.concatenate([drift, -by_speed])[:, None]
+        shares *= root
+        weighted = np.matmul(np.ascontiguousarray(shares.T)[:, None], terms)[:, 0]
         return NormalEquations(
             matrix=weighted.T @ weighted,  # numpy sees the symmetry, and does half the work
             vector=(root * constant) @ weighted,
@@ -205,19 +186,49 @@ class KnotModel:
             running_cost=float(importance @ (running_cost * running_cost)),
         )
 
-    def _drift_at(
-        self, samples: slice, curvature: float, v_des: float | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return sigma' f and sigma s_p' / h of some samples at a knot, shape (n, L) each."""
-        if v_des is None:
-            drift = self._drift
-            regressor = drift.straight[samples] + curvature * drift.turning[samples]
-            return regressor, drift.passing[samples]
-        still, moving = self._still, self._by_speed
-        regressor = still.straight[samples] + curvature * still.turning[samples]
-        regressor += v_des * moving.straight[samples]
-        regressor += (v_des * curvature) * moving.turning[samples]
-        return regressor, still.passing[samples] + v_des * moving.passing[samples]
+
+def _quadratic(
+    coefficients: Iterable[FloatArray],
+    inputs: FloatArray,
+    constant: FloatArray,
+    slope: FloatArray | None = None,
+) -> FloatArray:
+    """Return c + b_v v + b_w w + a_vv v^2 + a_vw v w + a_ww w^2, (n,) of inputs (2, n)."""
+    v, w = inputs
+    both, mixed, last = coefficients
+    along, across = both * v + mixed * w, last * w
+    if slope is not None:
+        along, across = along + slope[0], across + slope[1]
+    return np.asarray(constant + along * v + across * w)
+
+
+def _terms(states: FloatArray, settings: Settings, spacing: float, varies: bool) -> FloatArray:
+    """Return what regressors at states (N, 3) are combined of, shape (N, K, L).
+
+    Both columns of sigma' g; sigma' f at kappa = 0, and its change with kappa; sigma s_p' / h.
+    Where v_des varies, all but the first two at v_des = 0, each kind followed by its change with
+    v_des.
+    """
+    zeta = np.column_stack([states, np.zeros(len(states))])
+    basis, target = settings.learning.value_basis, settings.target
+    gradient, value = basis.gradient(zeta), basis.value(zeta)
+
+    def drift(v_des: float) -> tuple[FloatArray, FloatArray]:
+        nowhere, fast = np.zeros(len(zeta)), np.full(len(zeta), v_des)
+        straight = error_dynamics.drift(zeta, nowhere, target, fast)
+        turning = error_dynamics.drift(zeta, nowhere + 1.0, target, fast) - straight
+        speed = error_dynamics.target_speed(zeta, target, fast)
+        both = np.matmul(gradient, np.stack([straight, turning], axis=-1))
+        return both, (value * speed[:, None] / spacing)[..., None]
+
+    kinds = [np.matmul(gradient, error_dynamics.input_matrix(zeta))]
+    if varies:  # both are affine in v_des
+        still, moving = drift(0.0), drift(1.0)
+        for at_rest, fast in zip(still, moving, strict=True):
+            kinds += [at_rest, fast - at_rest]
+    else:
+        kinds += drift(target.desired_speed)
+    return np.ascontiguousarray(np.swapaxes(np.concatenate(kinds, axis=-1), 1, 2))
 
 
 def scattered_samples(count: int, half_widths: tuple[float, ...], seed: int) -> FloatArray:
