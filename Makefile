@@ -6,6 +6,8 @@ PYTHON ?= $(shell for p in python3.12 python3.11 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null \
 	&& echo $$p && break; done)
 BIN := $(VENV)/bin
+BENCH := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python
+BENCH_RESULTS := bench/results/bench.json
 
 .PHONY: help demo test lint format docs bench clean
 
@@ -31,8 +33,12 @@ format: $(VENV)/ready-lint  ## Format the code
 docs: $(VENV)/ready  ## Generate docs/parameters.md
 	$(BIN)/adp parameters --format markdown > docs/parameters.md
 
-bench: $(VENV)/ready  ## Measure the control tick
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/tick.py
+bench: $(VENV)/ready  ## Measure ticks, learning steps and the node against floors and peers
+	@rm -f $(BENCH_RESULTS)
+	$(BENCH) bench/tick.py --json $(BENCH_RESULTS)
+	$(BENCH) bench/policy.py --json $(BENCH_RESULTS) --figure docs/images/learning_step.png
+	$(BENCH) bench/node.py --json $(BENCH_RESULTS)
+	@$(BENCH) bench/timing.py $(BENCH_RESULTS)
 
 clean:  ## Remove the virtual environment and what tools left behind
 	rm -rf $(VENV) build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache

@@ -98,6 +98,7 @@ class Contender:
 
     def feed(self, rate: float, enough: Callable[[int], bool]) -> None:
         """Send odometry at a rate [Hz] until so many messages are enough."""
+        self._sent.clear()
         count, due = 0, time.perf_counter()
         while not enough(count):
             stamp = int(self._node.get_clock().now().nanoseconds)

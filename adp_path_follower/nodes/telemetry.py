@@ -9,6 +9,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped, Vector3Stamped
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -48,6 +49,16 @@ _LEVELS = {
 }
 
 
+def _quiet_publisher(node: Node, kind: type, topic: str, qos: QoSProfile | int) -> Publisher:
+    """Return a publisher that does not warn of subscribers with an incompatible quality of service.
+
+    rclpy looks at whatever could warn before each message that the node takes: two such events of
+    each of these publishers would be most of what that costs.
+    """
+    silent = PublisherEventCallbacks(use_default_callbacks=False)
+    return node.create_publisher(kind, topic, qos, event_callbacks=silent)
+
+
 class Telemetry:
     """Publishers of everything but the command."""
 
@@ -74,14 +85,14 @@ class Telemetry:
         self._lossless = lossless
         self._logger = node.get_logger()
         self._learning_problem = ""
-        self._status = node.create_publisher(DiagnosticStatus, "~/status", LATCHED)
+        self._status = _quiet_publisher(node, DiagnosticStatus, "~/status", LATCHED)
         self._last_status: DiagnosticStatus | None = None
         self._name = node.get_fully_qualified_name()  # two robots share /diagnostics
-        self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
-        self._configuration = node.create_publisher(String, "~/configuration", ALL_CHANGES)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._markers = _quiet_publisher(node, MarkerArray, "~/markers", LATCHED)
+        self._configuration = _quiet_publisher(node, String, "~/configuration", ALL_CHANGES)
+        self._diagnostics = _quiet_publisher(node, DiagnosticArray, "/diagnostics", 10)
         # Whether or not somebody listens: without it a run cannot be replayed.
-        self._pose = node.create_publisher(Vector3Stamped, "~/measured_pose", LOSSLESS)
+        self._pose = _quiet_publisher(node, Vector3Stamped, "~/measured_pose", LOSSLESS)
 
         def scalar(value: Any) -> Float64:
             return Float64(data=float(value))
@@ -109,7 +120,7 @@ class Telemetry:
             "~/cost": (Float64, lambda t, frame, out, cost: scalar(cost)),
         }
         self._steps: list[tuple[Publisher, Callable[..., Any]]] = [
-            (node.create_publisher(kind, topic, LOSSLESS if lossless else EVERY_STEP), make)
+            (_quiet_publisher(node, kind, topic, LOSSLESS if lossless else EVERY_STEP), make)
             for topic, (kind, make) in makers.items()
         ]
         self._heard = self._steps  # those of them that somebody listens to
