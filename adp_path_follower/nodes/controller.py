@@ -86,9 +86,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             lambda: self._settings.controller.odom_timeout,
         )
         labels = self._settings.learning.value_basis.labels
-        self._telemetry = Telemetry(
-            self, labels, lossless, lambda: self._settings.controller.debug_rate
-        )
+        self._telemetry = Telemetry(self, labels, lossless, lambda: self._settings.controller)
         odom = self.create_subscription(
             Odometry, "odom", self._receive_odometry, qos_profile_sensor_data
         )

@@ -19,6 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.route import Route
+from adp_path_follower.core.settings import ControllerSettings
 from adp_path_follower.core.supervisor import State, Status
 from adp_path_follower.nodes.conversions import (
     array_message,
@@ -67,7 +68,7 @@ class Telemetry:
         node: Node,
         labels: tuple[str, ...],
         lossless: bool,
-        debug_rate: Callable[[], float],
+        controller: Callable[[], ControllerSettings],
     ) -> None:
         """Create the publishers.
 
@@ -76,10 +77,10 @@ class Telemetry:
             labels: Names of the terms of the basis.
             lossless: Publish the first steps whether or not somebody listens, for those who join
                 late.
-            debug_rate: Returns how many steps a second are told of [Hz].
+            controller: Returns the present settings, for `debug_rate`.
 
         """
-        self._debug_rate, self._period_told = debug_rate, 0
+        self._controller, self._period_told = controller, 0
         self._kept = 0  # steps that were published for those who join late
         self._listeners_known_until = self._next_marker = 0.0
         self._lossless = lossless
@@ -153,7 +154,7 @@ class Telemetry:
                 self._listeners_known_until = now + _LISTENERS_PERIOD
                 self._heard = [step for step in self._steps if step[0].get_subscription_count()]
             wanted = self._heard
-        rate = self._debug_rate()
+        rate = self._controller().debug_rate
         if not wanted or math.isinf(rate):
             return wanted
         period = math.floor(time * 1e-9 * rate)  # each is told of once, by its first step

@@ -18,12 +18,16 @@ from adp_path_follower.nodes.telemetry import Telemetry
 PERIOD = 10_000_000  # [ns]
 
 
+def told_at(rate):
+    return build(Settings, {"debug_rate": rate}).controller
+
+
 def stamps(messages):
     return [stamp_nanoseconds(message.header) for message in messages]
 
 
 def test_nothing_is_made_of_a_step_until_somebody_listens(peer):
-    telemetry = Telemetry(peer.node, ("a",), lossless=False, debug_rate=lambda: math.inf)
+    telemetry = Telemetry(peer.node, ("a",), lossless=False, controller=lambda: told_at(math.inf))
     nothing = None  # what any message would be made of
     for step in range(5):
         telemetry.step(step * PERIOD, "odom", np.zeros(3), nothing, 0.0)
@@ -47,7 +51,7 @@ def test_nothing_is_made_of_a_step_until_somebody_listens(peer):
 def test_of_each_period_the_first_step_is_told(peer, rate, expected):
     follower = PathFollower(build(Settings, {}), named_path("line"))
     output = follower.step(np.array([0.0, 0.1, 0.0]), 0.01)
-    telemetry = Telemetry(peer.node, ("a",), lossless=True, debug_rate=lambda: rate)
+    telemetry = Telemetry(peer.node, ("a",), lossless=True, controller=lambda: told_at(rate))
     errors = peer.listen(Vector3Stamped, "test_peer/tracking_error")
     costs = peer.listen(Float64, "test_peer/cost")
     before = iter(range(0, 10**15, 10**9))
