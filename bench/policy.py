@@ -202,6 +202,7 @@ def against_nmpc() -> list[Row]:
         "nmpc": nmpc.tick,
     }
     times = in_turns(cases, 60, 20)
+    times["policy and step"] = times["policy"] + times["step"]
     peer = times["nmpc"]
 
     def row(what: str, key: str, target: float | None = None) -> Row:
@@ -219,6 +220,7 @@ def against_nmpc() -> list[Row]:
         ),
         row("default: control tick, not learning, beside NMPC", "frozen"),
         row(f"default: learning step, {size} weights, {samples} samples, with solution", "step"),
+        row("default: policy evaluation and learning step", "policy and step", 1.0 / 3.0),
         row("default: control tick, learning, beside NMPC", "tick", 1.0 / 3.0),
     ]
 
