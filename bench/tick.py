@@ -26,24 +26,27 @@ from adp_path_follower.core.geometry import FloatArray, advance_pose
 from adp_path_follower.core.knot_model import KnotModel, fit
 from adp_path_follower.core.learner import update_weights
 from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.path import Path as FollowedPath
+from adp_path_follower.core.path_library import circle, lissajous
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.shared_files import config_file
 
 _PERIOD = 10_000_000  # [ns]
 _POSE = np.array([0.3, 0.5, 0.4])
 _SOLVE = "numpy.linalg.solve, 9 × 9"
-_TRACED = 3000  # ticks
+_LAP, _TRACED = 1000, 2000  # ticks
 
 
 class Drive:
     """A robot that does what its controller says."""
 
-    def __init__(self, file: Path | None = None, *assignments: str) -> None:
-        """Take the settings of a parameter file, with some changed."""
+    def __init__(
+        self, file: Path | None = None, *assignments: str, path: FollowedPath | None = None
+    ) -> None:
+        """Take the settings of a parameter file, with some changed, and a path."""
         self.settings = load_settings(Settings, "path_follower", file, assignments=assignments)
         self._driver = Driver(self.settings)
-        self._driver.follow(lissajous())
+        self._driver.follow(path or lissajous())
         self._pose: FloatArray = _POSE
         self._time = 0
 
@@ -152,19 +155,18 @@ def allocations() -> list[Row]:
     """Return what ticks keep of the memory that they allocate, and what one has at once."""
     rows = []
     for name, assignments in (("not learning", ("learning=false",)), ("learning", ())):
-        drive = Drive(None, *assignments)
-        for _ in range(_TRACED):
+        drive = Drive(None, *assignments, path=circle(0.5))
+        tracemalloc.start()
+        for _ in range(_LAP):  # whose knots are known then
             drive.tick()
         gc.collect()
-        tracemalloc.start()
-        for _ in range(_TRACED // 10):  # what is kept for the next tick is known now
-            drive.tick()
-        before, most = tracemalloc.get_traced_memory()[0], []
-        for _ in range(_TRACED):
+        most = np.zeros(_TRACED)  # laid out before: a list would grow
+        before, _ = tracemalloc.get_traced_memory()
+        for index in range(_TRACED):
             present, _ = tracemalloc.get_traced_memory()
             tracemalloc.reset_peak()
             drive.tick()
-            most.append(tracemalloc.get_traced_memory()[1] - present)
+            most[index] = tracemalloc.get_traced_memory()[1] - present
         gc.collect()
         grown = (tracemalloc.get_traced_memory()[0] - before) / _TRACED
         tracemalloc.stop()
