@@ -112,6 +112,25 @@ def start_options(command: Command) -> Command:
     )(command)
 
 
+def cluster_options(command: Command) -> Command:
+    """Add --scheduler, --workers and --dry-run."""
+    command = click.option(
+        "--dry-run", is_flag=True, help="Say how many runs there are and how long they take."
+    )(command)
+    command = click.option(
+        "--workers",
+        type=click.IntRange(1, 1024),
+        metavar="N",
+        help="Number of processes on this machine; as many as it has cores if not given.",
+    )(command)
+    return click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Run on the Dask cluster of this scheduler, as in tcp://host:8786, instead of all "
+        "cores of this machine.",
+    )(command)
+
+
 def collect_starts(
     starts: tuple[tuple[float, float, float], ...], starts_file: Path | None
 ) -> FloatArray:

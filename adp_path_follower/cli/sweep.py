@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adp_path_follower.cli.options import FILE, progress_bar
+from adp_path_follower.cli.options import FILE, cluster_options, progress_bar
 from adp_path_follower.sweeping.extra import require_extra
 
 if TYPE_CHECKING:  # Dask and pyarrow are wanted when there is something to run
@@ -26,19 +26,7 @@ if TYPE_CHECKING:  # Dask and pyarrow are wanted when there is something to run
     metavar="DIR",
     help="Where the results go: a new directory, or that of the same sweep, which then goes on.",
 )
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Run on the Dask cluster of this scheduler, as in tcp://host:8786, instead of all cores "
-    "of this machine.",
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    metavar="N",
-    help="Number of processes on this machine; as many as it has cores if not given.",
-)
-@click.option("--dry-run", is_flag=True, help="Say how many runs there are and how long they take.")
+@cluster_options
 def sweep(
     file: Path,
     directory: Path | None,

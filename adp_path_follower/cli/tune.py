@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adp_path_follower.cli.options import FILE, progress_bar, settings_options, write_json
+from adp_path_follower.cli.options import (
+    FILE,
+    cluster_options,
+    progress_bar,
+    settings_options,
+    write_json,
+)
 from adp_path_follower.sweeping.extra import require_extra
 
 if TYPE_CHECKING:  # Dask and Optuna are wanted when there is something to run
@@ -49,19 +55,7 @@ if TYPE_CHECKING:  # Dask and Optuna are wanted when there is something to run
     help="Database of the trials, as in postgresql://user@host/name; machines with the same "
     "storage tune together. A file in DIR if not given.",
 )
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Run on the Dask cluster of this scheduler, as in tcp://host:8786, instead of all cores "
-    "of this machine.",
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    metavar="N",
-    help="Number of processes on this machine; as many as it has cores if not given.",
-)
-@click.option("--dry-run", is_flag=True, help="Say how many runs there are and how long they take.")
+@cluster_options
 def tune(
     file: Path | None,
     params: Path | None,
