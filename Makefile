@@ -17,7 +17,7 @@ help:  ## Show this help
 demo: $(VENV)/ready  ## Drive the paper's figure eight with real ROS 2 nodes
 	$(BIN)/adp demo $(if $(OUT),--out $(OUT))
 
-test: $(VENV)/ready  ## Run all tests, those of real nodes too
+test: $(VENV)/ready-test  ## Run all tests, those of real nodes too
 	$(BIN)/pytest -m "not nodes" -n auto --dist loadfile
 	$(BIN)/pytest -m nodes
 
@@ -33,7 +33,7 @@ format: $(VENV)/ready-lint  ## Format the code
 docs: $(VENV)/ready  ## Generate docs/parameters.md
 	$(BIN)/adp parameters --format markdown > docs/parameters.md
 
-bench: $(VENV)/ready  ## Measure ticks, learning steps and the node against floors and peers
+bench: $(VENV)/ready-test  ## Measure ticks, learning steps and the node against floors and peers
 	@rm -f $(BENCH_RESULTS)
 	$(BENCH) bench/tick.py --json $(BENCH_RESULTS)
 	$(BENCH) bench/policy.py --json $(BENCH_RESULTS) --figure docs/images/learning_step.png
@@ -47,9 +47,14 @@ $(VENV)/ready: setup.py adp_path_follower/__init__.py
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or 3.12 found: install one, or say make PYTHON=..."; exit 1; }
 	@echo "Setting up $(VENV): ROS 2 Jazzy and the Python packages, about a minute"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[jazzy,optimum,report,sweep,test]'
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[jazzy,optimum,report]'
 	@touch $@
 
-$(VENV)/ready-lint: $(VENV)/ready
+$(VENV)/ready-test: $(VENV)/ready
+	@echo "Adding what sweeps and tests need"
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[sweep,test]'
+	@touch $@
+
+$(VENV)/ready-lint: $(VENV)/ready-test
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[lint]'
 	@touch $@
