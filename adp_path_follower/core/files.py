@@ -1,8 +1,9 @@
-"""Reading text, CSV and YAML files with errors that name the file, the line and the remedy."""
+"""Files: read with errors that name file, line and remedy, and written whole or not at all."""
 
 from __future__ import annotations
 
 import csv
+import os
 import re
 from pathlib import Path
 
@@ -42,6 +43,29 @@ def read_text(file: Path) -> str:
     if "\0" in text:
         raise FileError(f"file {file} is not text: it holds a NUL byte")
     return text
+
+
+def write_whole(file: Path, content: bytes, unfinished: Path) -> None:
+    """Write a file as a whole or not at all, whatever happens meanwhile.
+
+    Args:
+        file: The file.
+        content: What it is to hold.
+        unfinished: Where it is written first: beside the file, so that it can be renamed.
+
+    Raises:
+        OSError: It cannot be written.
+        ValueError: No file can have its name.
+
+    """
+    try:
+        with unfinished.open("wb") as output:
+            output.write(content)
+            output.flush()
+            os.fsync(output.fileno())
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def parse_yaml(text: str) -> object:

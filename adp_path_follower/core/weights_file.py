@@ -23,7 +23,7 @@ import yaml
 
 from adp_path_follower.core.arc_length_learner import MODEL_SETTINGS
 from adp_path_follower.core.errors import FileError, SettingsError
-from adp_path_follower.core.files import parse_yaml
+from adp_path_follower.core.files import parse_yaml, write_whole
 from adp_path_follower.core.learner import LearnedWeights
 from adp_path_follower.core.schema import Value, build, flatten, setting_fields, yaml_text
 from adp_path_follower.core.settings import Settings
@@ -164,14 +164,7 @@ def write_weights(file: Path, content: bytes) -> None:
     """
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
-        try:
-            with temporary.open("wb") as output:
-                output.write(content)
-                output.flush()
-                os.fsync(output.fileno())
-            temporary.replace(file)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_whole(file, content, temporary)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise FileError(

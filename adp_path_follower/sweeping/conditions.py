@@ -252,8 +252,9 @@ def _robots(file: Section) -> tuple[Robot, ...]:
 def _noise_seeds(file: Section, robots: tuple[Robot, ...], starts: int) -> tuple[int, ...]:
     given = file.get("noise_seeds", 1)
     most = _MOST_SEED // starts - 1
-    seeds: list[int] = given if isinstance(given, list) else [given]  # type: ignore[list-item]
-    if any(not isinstance(seed, int) or isinstance(seed, bool) for seed in seeds):
+    listed = given if isinstance(given, list) else [given]
+    seeds = [seed for seed in listed if isinstance(seed, int) and not isinstance(seed, bool)]
+    if len(seeds) < len(listed):
         seeds = []
     elif not isinstance(given, list):
         seeds = list(range(min(seeds[0], _MOST_SEEDS + 1)))

@@ -228,8 +228,8 @@ def _importances(
     found = []
     for item in tuning.variations:
         before = base[item.field.name]
-        if not isinstance(item, Listed) and item.item is not None:
-            before = before[item.item]  # type: ignore[index]  # it is a list
+        if not isinstance(item, Listed):
+            before = item.number_in(before)
         found.append(
             Importance(
                 item,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -12,6 +11,7 @@ from typing import Self
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.files import write_whole
 
 UNFINISHED = ".unfinished"  # ends the names of files that are being written
 _LOCK = ".lock"
@@ -72,13 +72,8 @@ class OutputFolder:
             FileError: The disk is full, or the folder is not there any more.
 
         """
-        unfinished = file.with_suffix(UNFINISHED)
         try:
-            with unfinished.open("wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            unfinished.replace(file)
+            write_whole(file, content, file.with_suffix(UNFINISHED))
         except OSError as error:
             raise FileError(
                 f"output {file} cannot be written: {error.strerror}; what is there stays, and the "

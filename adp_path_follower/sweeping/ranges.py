@@ -58,6 +58,12 @@ class Range:
         """Return whether its values are whole numbers."""
         return (self.field.item_kind or self.field.kind) is int
 
+    def number_in(self, value: Value) -> float:
+        """Return the number that is varied, of a value of the setting."""
+        number = value[self.item] if isinstance(value, tuple) and self.item is not None else value
+        assert isinstance(number, int | float)  # others have no range
+        return number
+
     def at(self, share: float) -> float | int:
         """Return the value at a share in [0, 1) of the range."""
         if self.integer:

@@ -174,10 +174,8 @@ def _base_value(item: Variation, base: dict[str, Value]) -> Any:
     value = base[item.field.name]
     if isinstance(item, Listed):
         return yaml_text(value) if value in item.values else None
-    if item.item is None:
-        return value if item.low <= value <= item.high else None  # type: ignore[operator]
-    number = value[item.item]  # type: ignore[index]
-    return number if item.low <= number <= item.high else None  # type: ignore[operator]
+    number = item.number_in(value)
+    return number if item.low <= number <= item.high else None
 
 
 def _distribution(item: Variation) -> BaseDistribution:

@@ -59,10 +59,10 @@ class Section:
     def number(self, name: str, default: float, *, low: float = 0.0) -> float:
         """Return an entry that is a finite number, above a lowest value or at it if that is 0."""
         value = self._content.get(name, default)
-        plain = isinstance(value, int | float) and not isinstance(value, bool)
-        if not plain or not math.isfinite(value) or value < low:  # type: ignore[arg-type,operator]
-            raise self.problem(f"'{name}' is {value!r}, but must be a number, at least {low:g}")
-        return float(value)  # type: ignore[arg-type]
+        plain = not isinstance(value, bool)
+        if plain and isinstance(value, int | float) and math.isfinite(value) and value >= low:
+            return float(value)
+        raise self.problem(f"'{name}' is {value!r}, but must be a number, at least {low:g}")
 
     def whole(self, name: str, default: int, *, low: int, high: int) -> int:
         """Return an entry that is an integer."""
