@@ -16,6 +16,7 @@ from conftest import is_zero
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import serialize_message
 
@@ -256,6 +257,7 @@ def test_a_path_of_another_frame_is_followed_and_replayed(peer, start, domain, t
 def test_a_route_is_driven_backwards_and_replays(peer, start, tmp_path):
     """There, a stop, and back; the same path again changes nothing, an empty one stops."""
     commands = peer.listen(TwistStamped, "cmd_vel")
+    odometry = peer.listen(Odometry, "odom")
     controller = start("controller", allow_reversing=True, min_linear_vel=-0.5)
     recorder = start("recorder", output=str(tmp_path / "bag"))
     start("sim_unicycle")
@@ -270,6 +272,8 @@ def test_a_route_is_driven_backwards_and_replays(peer, start, tmp_path):
     peer.until(lambda: any(item.twist.linear.x < -0.1 for item in commands), "backwards")
     first_back = next(i for i, item in enumerate(commands) if item.twist.linear.x < -0.1)
     assert any(map(is_zero, commands[first_back - 60 : first_back]))
+    # A single command may be over before the simulator takes its next step.
+    peer.until(lambda: odometry and odometry[-1].pose.pose.position.x < 0.6, "some way back")
     peer.path.publish(message_of(LINE[:0]))
     peer.until(lambda: is_zero(commands[-1]), "the stop")
     assert controller.output().count("new path") == 1
