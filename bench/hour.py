@@ -45,7 +45,7 @@ from visualization_msgs.msg import MarkerArray
 
 from adp_path_follower.core.path import Path as FollowedPath
 from adp_path_follower.core.path_library import named_path
-from adp_path_follower.nodes.conversions import path_message
+from adp_path_follower.nodes.conversions import poses_message
 from adp_path_follower.nodes.processes import NodeProcess, own_domain
 
 WARM_UP = 5.0  # [min] after which memory must not grow any more
@@ -256,7 +256,7 @@ class Hour:
             path = FollowedPath.from_points(np.column_stack([x, a * np.sin(b * x + c)]))
         else:
             path = named_path(kind)
-        self.peer.path.publish(path_message(path, "odom", 0, 0.1))
+        self.peer.path.publish(poses_message(path.points(0.1), "odom", 0))
 
     def empty_path(self) -> None:
         """Publish an empty path, and another one after it."""

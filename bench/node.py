@@ -35,7 +35,7 @@ from timing import Row, arguments, report
 
 from adp_path_follower.core.geometry import FloatArray, advance_pose
 from adp_path_follower.core.path_library import circle
-from adp_path_follower.nodes.conversions import odometry_message, path_message, stamp_nanoseconds
+from adp_path_follower.nodes.conversions import odometry_message, poses_message, stamp_nanoseconds
 from adp_path_follower.nodes.processes import NodeProcess, own_domain
 
 _RATES = (20.0, 50.0, 100.0, 200.0)
@@ -61,7 +61,7 @@ class Contender:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._odometry = self._node.create_publisher(Odometry, "odom", 10)
         self._path = self._node.create_publisher(PathMessage, "path", latched)
-        self._path.publish(path_message(circle(0.5), "odom", 0, 0.05))
+        self._path.publish(poses_message(circle(0.5).points(0.05), "odom", 0))
         self._node.create_subscription(TwistStamped, "cmd_vel", self._receive, 10)
         self._sent: dict[int, float] = {}
         self.latency: list[float] = []

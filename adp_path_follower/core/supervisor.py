@@ -122,6 +122,12 @@ class Supervisor:
             return Status(State.STOPPED, "~/stop was called", _RESUME)
         return self._waiting() or self._fault(now) or self._going()
 
+    def patience(self, now: float) -> float:
+        """Return how long silence would be no fault yet, at a steady time [s]."""
+        heard = (self._odometry_time, self._tick_time)
+        oldest = min((time for time in heard if time is not None), default=now)
+        return oldest + self.odom_timeout - now
+
     def _waiting(self) -> Status | None:
         """Return what is waited for, if anything."""
         if self._clock_missing:

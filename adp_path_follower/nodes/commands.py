@@ -16,13 +16,13 @@ from rclpy.node import Node
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.nodes.conversions import twist_message, twist_stamped
 from adp_path_follower.nodes.telemetry import EVERY_STEP, LOSSLESS
-
-WATCH_PERIOD = 0.02  # [s], steady
+from adp_path_follower.nodes.watchdog import WATCH_PERIOD
 
 _STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop
 _LAST_WORDS = 3  # zero velocities before the node goes, at least
 _MOST_LAST_WORDS = 15  # and at most
 _DELIVERY_PERIOD = 0.02  # [s] between those that are not delivered yet
+_LONGEST_WAIT = 0.5  # [s] until a shorter timeout is known
 _ZERO = np.zeros(2)
 
 
@@ -109,10 +109,12 @@ class Commands:
 
     def _stop_when_hanging(self) -> None:
         """Publish zero velocity for a while, as soon as a control step takes too long."""
-        while not self._closed.wait(WATCH_PERIOD):
-            since = self._busy_since
-            late = 0.0 if since is None else steady.monotonic() - since - self._timeout()
-            if 0.0 < late < _STOP_DURATION:
+        left = 0.0
+        while not self._closed.wait(min(left, _LONGEST_WAIT) if left > 0.0 else WATCH_PERIOD):
+            now, since = steady.monotonic(), self._busy_since
+            # A step that begins after now cannot be late before that time is over.
+            left = self._timeout() - (0.0 if since is None else now - since)
+            if -_STOP_DURATION < left <= 0.0:
                 self._send_zero()
 
     def _send_zero(self) -> None:

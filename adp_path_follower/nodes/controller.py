@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
@@ -26,7 +25,7 @@ from adp_path_follower.core.odometry_check import OdometryCheck
 from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State, Status, Supervisor, deviation
-from adp_path_follower.nodes.commands import WATCH_PERIOD, Commands
+from adp_path_follower.nodes.commands import Commands
 from adp_path_follower.nodes.conversions import Measurement, MessageError, measurement_of
 from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
 from adp_path_follower.nodes.path_fitting import Fit, FittingProcess, route_of_message
@@ -34,6 +33,7 @@ from adp_path_follower.nodes.path_input import PathInput
 from adp_path_follower.nodes.path_intake import PathAnswer
 from adp_path_follower.nodes.run import Ending, run_node
 from adp_path_follower.nodes.telemetry import Telemetry
+from adp_path_follower.nodes.watchdog import WATCH_PERIOD, Watchdog
 from adp_path_follower.nodes.weights import WeightsFiles
 
 NODE_NAME = "path_follower"
@@ -50,10 +50,10 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._settings = declare_settings(self, Settings)
         LiveSettings(self, self._settings, self._prepare_settings)
         self._weights = WeightsFiles(self, self._settings, lambda: self._driver)
-        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._commands: Commands | None = None
         self._fit = fit
         self._path: PathInput | None = None
+        self._watchdog: Watchdog | None = None
         self._entities: list[tuple[Any, Any]] = []
         self._forget_run()
         if self._settings.controller.autostart:
@@ -97,11 +97,10 @@ class PathFollowerNode(Ending, LifecycleNode):
         reset = self.create_service(Trigger, "~/reset_learning", self._reset_learning)
         stop = self.create_service(Trigger, "~/stop", self._stop)
         resume = self.create_service(Trigger, "~/resume", self._resume)
-        watchdog = self.create_timer(WATCH_PERIOD, self._watch, clock=self._steady_clock)
+        self._watchdog = Watchdog(self, self._watch)
         self._entities = [
             *((self.destroy_subscription, item) for item in (odom, limit)),
             *((self.destroy_service, service) for service in (reset, stop, resume)),
-            (self.destroy_timer, watchdog),
             *self._weights.entities(),
         ]
         if controller.control_trigger == "timer":
@@ -149,10 +148,10 @@ class PathFollowerNode(Ending, LifecycleNode):
             destroy(entity)
         self._entities = []
         self._telemetry.destroy(self)
-        for part in (self._path, self._commands):
+        for part in (self._path, self._commands, self._watchdog):
             if part is not None:
                 part.destroy()
-        self._path = self._commands = None
+        self._path = self._commands = self._watchdog = None
 
     # Inputs
 
@@ -324,8 +323,8 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     # Supervision
 
-    def _watch(self) -> None:
-        """Look after the robot in steady time, whatever the control timer does."""
+    def _watch(self) -> float:
+        """Look after the robot, whatever the control timer does; return when to do so again [s]."""
         if self._path is not None:
             self._path.retry()
         clock_time = self._now()
@@ -339,6 +338,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._commands.repeat_stop()
         if steady.monotonic() >= self._next_diagnostics:
             self._publish_diagnostics()
+        return self._supervisor.patience(steady.monotonic()) if following else WATCH_PERIOD
 
     def _update_status(self) -> Status:
         """Return the status; tell the robot to stop, and the user, as soon as it changes."""
@@ -346,6 +346,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         status = self._supervisor.status(now)
         if status == self._shown:
             return status
+        if self._watchdog is not None:
+            self._watchdog.hurry()
         leaves = self._shown.state is State.FOLLOWING and self._supervisor.active
         if leaves and self._commands is not None:
             self._commands.stop()

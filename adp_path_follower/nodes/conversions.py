@@ -13,7 +13,6 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, advance_pose, yaw_of_quaternion
-from adp_path_follower.core.path import Path
 
 NANOSECONDS = 1_000_000_000
 _LONGEST_PREDICTION = 1.0  # [s]
@@ -140,11 +139,6 @@ def wrong_frame(frame: str, odom_frame: str) -> str:
         f"path is in frame '{frame}', but odometry in '{odom_frame}': publish the path in "
         f"'{odom_frame}', or install tf2_ros"
     )
-
-
-def path_message(path: Path, frame: str, time: int, spacing: float) -> PathMessage:
-    """Return a path as poses at most `spacing` [m] apart, headed along it."""
-    return poses_message(path.points(spacing), frame, time)
 
 
 def poses_message(poses: FloatArray, frame: str, time: int) -> PathMessage:

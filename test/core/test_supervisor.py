@@ -136,3 +136,14 @@ def test_the_timeout_can_be_changed():
     assert supervisor.status(now).state is State.FAULT
     supervisor.odom_timeout = 2.0
     assert supervisor.status(now).state is State.FOLLOWING
+
+
+@given(st.lists(st.sampled_from(EVENTS)))
+@settings(max_examples=300, deadline=None)
+def test_silence_is_a_fault_as_soon_as_patience_is_over_and_not_before(events):
+    supervisor, now, _ = played(["activate", "path", "odometry", *events])
+    if supervisor.status(now).state is State.FOLLOWING:
+        patience = supervisor.patience(now)
+        assert 0.0 <= patience <= TIMEOUT
+        assert supervisor.status(now + patience - 1e-6).state is State.FOLLOWING
+        assert supervisor.status(now + patience + 1e-6).state is State.FAULT

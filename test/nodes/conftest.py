@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from adp_path_follower.core.path_library import named_path
-from adp_path_follower.nodes.conversions import odometry_message, path_message
+from adp_path_follower.nodes.conversions import odometry_message, poses_message
 from adp_path_follower.nodes.processes import NodeProcess, own_domain
 
 TIMEOUT = 30.0  # [s] for anything that must happen; a loaded machine is slow, not wrong
@@ -110,7 +110,7 @@ class Peer:
 
     def send_path(self, name: str = "line", frame: str = "odom") -> PathMessage:
         """Publish a named path and return the message."""
-        message = path_message(named_path(name), frame, 0, 0.1)
+        message = poses_message(named_path(name).points(0.1), frame, 0)
         self.path.publish(message)
         return message
 

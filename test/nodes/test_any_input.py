@@ -28,7 +28,7 @@ from adp_path_follower.core.schema import flatten, setting_fields
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State
 from adp_path_follower.nodes.controller import PathFollowerNode
-from adp_path_follower.nodes.conversions import odometry_message, path_message
+from adp_path_follower.nodes.conversions import odometry_message, poses_message
 from adp_path_follower.nodes.processes import own_domain
 
 PERIOD = 20_000_000  # [ns]
@@ -42,7 +42,7 @@ GIVEN = {
     "use_sim_time": True,
     "odom_timeout": 60.0,  # a loaded machine is no fault
 }
-LINE = path_message(named_path("line"), "odom", 0, 0.1)
+LINE = poses_message(named_path("line").points(0.1), "odom", 0)
 
 
 class Spied(PathFollowerNode):

@@ -134,9 +134,9 @@ def test_bad_odometry_stops_the_robot_until_it_is_good_again(drive, broken, caus
 
 def _broken_path(kind: str) -> PathMessage:
     from adp_path_follower.core.path_library import named_path
-    from adp_path_follower.nodes.conversions import path_message
+    from adp_path_follower.nodes.conversions import poses_message
 
-    message = path_message(named_path("circle:1.0"), "odom", 0, 0.1)
+    message = poses_message(named_path("circle:1.0").points(0.1), "odom", 0)
     if kind == "one point":
         message.poses = message.poses[:1]
     elif kind == "NaN":

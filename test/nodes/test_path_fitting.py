@@ -15,11 +15,11 @@ from rclpy.serialization import serialize_message
 from adp_path_follower.core.errors import PathError
 from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.settings import PathSettings
-from adp_path_follower.nodes.conversions import path_message
+from adp_path_follower.nodes.conversions import poses_message
 from adp_path_follower.nodes.path_fitting import REFUSALS, FittingProcess, reason, route_of_message
 
-EIGHT = serialize_message(path_message(lissajous(), "odom", 0, 0.05))
-SPOT = serialize_message(path_message(lissajous(), "odom", 0, 1e3))[:60]
+EIGHT = serialize_message(poses_message(lissajous().points(0.05), "odom", 0))
+SPOT = serialize_message(poses_message(lissajous().points(1e3), "odom", 0))[:60]
 
 
 @pytest.mark.parametrize("transform", [(), (1.0, -2.0, 0.3)])
