@@ -19,7 +19,7 @@ demo: $(VENV)/ready  ## Drive the paper's figure eight with real ROS 2 nodes
 
 test: $(VENV)/ready-test  ## Run all tests, those of real nodes too
 	$(BIN)/pytest -m "not nodes" -n auto --dist loadfile
-	$(BIN)/pytest -m nodes
+	$(BIN)/pytest -m nodes -n 3 --dist loadfile
 
 lint: $(VENV)/ready-lint  ## Check style and types
 	$(BIN)/ruff format --check .

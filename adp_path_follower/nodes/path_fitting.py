@@ -68,12 +68,15 @@ class FittingProcess:
     """
 
     def __init__(self) -> None:
-        """Start the process."""
+        """Start the process; where the machine has none to give, do without."""
         ours, theirs = socket.socketpair()
         self._connection: socket.socket | None = ours
         fork = multiprocessing.get_context("fork")
         self._process = fork.Process(target=_serve, args=(theirs, ours), daemon=True)
-        self._process.start()
+        try:
+            self._process.start()
+        except OSError as error:
+            self._do_without(f"cannot be started ({error})")
         theirs.close()
 
     @property
@@ -93,8 +96,9 @@ class FittingProcess:
         traceback: TracebackType | None,
     ) -> None:
         """End it, whatever it is at."""
-        self._process.kill()
-        self._process.join()
+        if self._process.pid is not None:
+            self._process.kill()
+            self._process.join()
 
     def route(self, raw: bytes, transform: tuple[float, ...], settings: PathSettings) -> Route:
         """Return the route of a path; see `route_of_message`."""
@@ -104,16 +108,19 @@ class FittingProcess:
                 _send(self._connection, (raw, transform, settings))
                 found = _receive(self._connection)
             except (EOFError, OSError):
-                self._connection = None
-                get_logger("path_fitting").warning(
-                    "the process that prepares paths has ended: control steps may come late while "
-                    "the node prepares a long path itself; restart the node when that suits"
-                )
+                self._do_without("has ended")
         if found is None:
             return route_of_message(raw, transform, settings)
         if isinstance(found, str):
             raise PathError(found)
         return found
+
+    def _do_without(self, why: str) -> None:
+        self._connection = None
+        get_logger("path_fitting").warning(
+            f"the process that prepares paths {why}: control steps may come late while the node "
+            "prepares a long path itself; restart the node when that suits"
+        )
 
 
 def _serve(connection: socket.socket, others: socket.socket) -> None:

@@ -56,6 +56,15 @@ def test_without_its_process_a_path_is_prepared_all_the_same():
             assert fitting.route(EIGHT, (), PathSettings()).closed
 
 
+def test_a_machine_with_no_process_left_prepares_paths_all_the_same(monkeypatch):
+    def fork():
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(os, "fork", fork)
+    with FittingProcess() as fitting:
+        assert fitting.route(EIGHT, (), PathSettings()).closed
+
+
 def children(pid: int) -> list[int]:
     """Return the processes that a process has started."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
