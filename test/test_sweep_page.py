@@ -109,6 +109,18 @@ def test_heat_maps_show_what_matters_first(sweep):
     assert ATTACK not in str(figures["pareto"]["data"])
 
 
+def test_where_nothing_is_stable_the_maps_show_how_much_is_not(sweep):
+    found = overview(sweep, runs_of(sweep, range(96)))
+    figures = sweep_figures(found)
+    assert list(figures) == ["map_1", "map_2", "map_3"]
+    for figure in figures.values():
+        assert figure["data"][0]["colorbar"]["title"]["text"] == "unstable runs"
+        shares = np.array(figure["data"][0]["z"], dtype=float)
+        known = shares[np.isfinite(shares)]
+        assert known.size
+        assert known == pytest.approx(found.unstable[0] * 96 / sweep.runs)
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 def test_the_page_opens_without_network_and_without_errors(sweep, tmp_path):
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

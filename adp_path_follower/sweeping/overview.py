@@ -54,7 +54,6 @@ class Overview:
         sweep: The sweep.
         scores: Objectives, all that there are: name -> values, shape (C,); NaN where a run is lost.
         unstable: Number of runs that are not stable, shape (C,).
-        unstable_runs: Of all combinations together.
         problems: What runs could not be made for: sentence -> number of runs.
         best: The stable combination with the least first objective; None if all are unstable.
         cases: The best settings on each path with each robot.
@@ -87,6 +86,11 @@ class Overview:
         points[self.unstable > 0] = math.nan
         found = np.flatnonzero(pareto_front(points))
         return np.asarray(found[np.argsort(points[found, 0])])
+
+    @property
+    def shares_unstable(self) -> FloatArray:
+        """Return the share of unstable runs of each combination, shape (C,)."""
+        return np.asarray(self.unstable * (self.sweep.combinations / self.sweep.runs))
 
     def values(self, combination: int) -> dict[str, Value]:
         """Return what varies, by name."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import itertools
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,16 +28,47 @@ def sweep_figures(found: Overview) -> dict[str, Any]:
     figures: dict[str, go.Figure] = {}
     if len(found.sweep.objectives) > 1 and len(found.ranked):
         figures["pareto"] = _pareto(found)
-    axes = _by_effect(found)
+    measure = mapped(found)
+    axes = _by_effect(found, measure.values)
     if len(axes) == 1:
-        figures["map_1"] = _curve(found, axes[0])
+        figures["map_1"] = _curve(measure, axes[0])
     pairs = sorted(itertools.combinations(range(len(axes)), 2), key=sum)[:_MOST_MAPS]
     for number, (first, second) in enumerate(pairs, start=1):
-        figures[f"map_{number}"] = _heat_map(found, axes[first], axes[second])
+        figures[f"map_{number}"] = _heat_map(measure, axes[first], axes[second])
     content = {key: figure.to_dict() for key, figure in figures.items()}
     for item in content.values():
         item["layout"].pop("template", None)  # the page has its own colours
     return content
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What the maps show of each combination.
+
+    Attributes:
+        name: Of the quantity.
+        values: Shape (C,); NaN where there is nothing to show.
+        caption: What it is, in a sentence.
+
+    """
+
+    name: str
+    values: FloatArray
+    caption: str
+
+
+def mapped(found: Overview) -> Measure:
+    """Return what the maps show: the first objective, or what is wrong where it has no values."""
+    name = found.sweep.objectives[0]
+    if not len(found.ranked):
+        return Measure(
+            "unstable runs",
+            found.shares_unstable,
+            "Share of runs that are unstable, for no combination is stable in all its runs",
+        )
+    values = np.where(found.unstable == 0, found.scores[name], math.nan)
+    caption = f"{name} ({OBJECTIVES[name].meaning}) of the combinations that are stable in all runs"
+    return Measure(name, values, caption)
 
 
 class _Axis:
@@ -71,9 +103,8 @@ class _Axis:
         return float(between / known.sum() / total)
 
 
-def _by_effect(found: Overview) -> list[_Axis]:
-    """Return what varies, what matters most first."""
-    score = _score(found)
+def _by_effect(found: Overview, score: FloatArray) -> list[_Axis]:
+    """Return what varies, what matters most to a score first."""
     # Ranks: a few combinations that are much worse would decide alone.
     ranks = np.full(len(score), math.nan)
     known = np.isfinite(score)
@@ -82,24 +113,18 @@ def _by_effect(found: Overview) -> list[_Axis]:
     return sorted(axes, key=lambda axis: -axis.effect(ranks))
 
 
-def _score(found: Overview) -> FloatArray:
-    """Return the first objective; NaN where a run is unstable."""
-    score = found.scores[found.sweep.objectives[0]]
-    return np.where(found.unstable == 0, score, math.nan)
-
-
-def _heat_map(found: Overview, first: _Axis, second: _Axis) -> go.Figure:
-    """Return the median of the first objective over all else that varies."""
-    score = _score(found)
+def _heat_map(measure: Measure, first: _Axis, second: _Axis) -> go.Figure:
+    """Return the median of a measure over all else that varies."""
+    score = measure.values
     median = np.full((len(second.labels), len(first.labels)), math.nan)
     text = np.full(median.shape, "", dtype=object)
     for row, column in np.ndindex(*median.shape):
         inside = (second.bins == row) & (first.bins == column)
-        stable = inside & np.isfinite(score)
-        if stable.any():
-            median[row, column] = np.median(score[stable])
+        known = inside & np.isfinite(score)
+        if known.any():
+            median[row, column] = np.median(score[known])
         if inside.any():
-            text[row, column] = f"{int(stable.sum())} of {int(inside.sum())} stable"
+            text[row, column] = f"of {int(known.sum())} of {int(inside.sum())} combinations"
     figure = go.Figure(
         go.Heatmap(
             x=first.labels,
@@ -108,20 +133,22 @@ def _heat_map(found: Overview, first: _Axis, second: _Axis) -> go.Figure:
             customdata=text,
             colorscale="Viridis",
             reversescale=True,
-            colorbar={"title": {"text": found.sweep.objectives[0], "side": "right"}},
+            colorbar={"title": {"text": measure.name, "side": "right"}},
             hoverongaps=False,
-            hovertemplate="%{x}, %{y}: %{z:.5g}, %{customdata}<extra></extra>",
+            hovertemplate="%{x}, %{y}: %{z:.5g}, median %{customdata}<extra></extra>",
         )
     )
-    figure.update_xaxes(title_text=first.name, type="category")
-    figure.update_yaxes(title_text=second.name, type="category", automargin=True)
+    figure.update_xaxes(title_text=first.name, type="category", automargin=True)
+    figure.update_yaxes(
+        title={"text": second.name, "standoff": 10}, type="category", automargin=True
+    )
     figure.update_layout(height=_HEIGHT)
     return figure
 
 
-def _curve(found: Overview, axis: _Axis) -> go.Figure:
-    """Return the median of the first objective over the one thing that varies."""
-    score = _score(found)
+def _curve(measure: Measure, axis: _Axis) -> go.Figure:
+    """Return the median of a measure over the one thing that varies."""
+    score = measure.values
     groups = [score[(axis.bins == place) & np.isfinite(score)] for place in range(len(axis.labels))]
     medians = np.array([np.median(some) if len(some) else math.nan for some in groups])
     figure = go.Figure()
@@ -132,8 +159,8 @@ def _curve(found: Overview, axis: _Axis) -> go.Figure:
         line={"color": COLORS[0]},
         hovertemplate="%{x}: %{y:.5g}<extra></extra>",
     )
-    figure.update_xaxes(title_text=axis.name, type="category")
-    figure.update_yaxes(title_text=found.sweep.objectives[0])
+    figure.update_xaxes(title_text=axis.name, type="category", automargin=True)
+    figure.update_yaxes(title_text=measure.name)
     figure.update_layout(height=_HEIGHT, showlegend=False)
     return figure
 

@@ -8,7 +8,7 @@ from adp_path_follower.analysis.page import write_page
 from adp_path_follower.sweeping.objectives import OBJECTIVES
 from adp_path_follower.sweeping.optima import WHERE_KNOWN
 from adp_path_follower.sweeping.overview import Overview, shown
-from adp_path_follower.sweeping.sweep_figures import sweep_figures
+from adp_path_follower.sweeping.sweep_figures import mapped, sweep_figures
 
 _ROWS = 25
 
@@ -51,13 +51,13 @@ def _caption(key: str, figure: dict, found: Overview) -> tuple[str, str]:
             f"({OBJECTIVES[first].meaning}) against {second} ({OBJECTIVES[second].meaning}). On "
             "the front nothing is better in both.",
         )
-    layout = figure["layout"]
+    layout, measure = figure["layout"], mapped(found)
     across = str(layout["xaxis"]["title"]["text"])
     up = str(layout["yaxis"]["title"]["text"])
-    if up == first:
-        return (f"{first} over {across}", "Median of the combinations of settings that are stable.")
+    if up == measure.name:
+        return (f"{measure.name} over {across}", f"{measure.caption}: the median at each value.")
     return (
-        f"{first} over {across} and {up}",
-        "Median over everything else that varies, of the combinations that are stable in all their "
-        "runs; empty where there is none. Point at a field to read how many are.",
+        f"{measure.name} over {across} and {up}",
+        f"{measure.caption}: the median over everything else that varies; empty where there is "
+        "none. Point at a field to read of how many.",
     )
