@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 WATCH_PERIOD = 0.02  # [s], where something is wrong, or is being waited for
@@ -17,11 +18,20 @@ class Watchdog:
     """A steady timer whose period is what is left until something may be wrong."""
 
     def __init__(self, node: Node, look: Callable[[], float]) -> None:
-        """Start; `look` returns the time until it must be called again, at the latest [s]."""
+        """Start; `look` returns the time until it must be called again, at the latest [s].
+
+        A ROS clock that goes back is looked at soon, too.
+        """
         self._node, self._look = node, look
         self._period = WATCH_PERIOD
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(WATCH_PERIOD, self._on_timer, clock=steady)
+        back = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+        )
+        self._jumps = node.get_clock().create_jump_callback(
+            back, post_callback=lambda _: self.hurry()
+        )
 
     def hurry(self) -> None:
         """Look again soon, because something has changed."""
@@ -29,6 +39,7 @@ class Watchdog:
 
     def destroy(self) -> None:
         """End the timer."""
+        self._jumps.unregister()
         self._node.destroy_timer(self._timer)
 
     def _on_timer(self) -> None:
