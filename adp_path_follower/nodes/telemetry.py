@@ -40,6 +40,9 @@ _LISTENERS_PERIOD = 0.1  # [s], steady: how often it is asked who listens
 _MARKER_PERIOD = 0.1  # [s], steady: of the virtual target
 _MARKER_POINTS = 2000  # of a long path: each takes a microsecond or two of the control thread
 
+# From a step's time [ns], the frame of poses, what the step found, and J so far.
+MakeMessage = Callable[[int, str, FollowerOutput, float], Any]
+
 _LEVELS = {
     State.INACTIVE: DiagnosticStatus.WARN,
     State.WAITING: DiagnosticStatus.WARN,
@@ -58,6 +61,35 @@ def _quiet_publisher(node: Node, kind: type, topic: str, qos: QoSProfile | int) 
     """
     silent = PublisherEventCallbacks(use_default_callbacks=False)
     return node.create_publisher(kind, topic, qos, event_callbacks=silent)
+
+
+def _step_messages(labels: tuple[str, ...]) -> dict[str, tuple[type, MakeMessage]]:
+    """Return for each debug topic its type, and what makes its message."""
+
+    def scalar(value: Any) -> Float64:
+        return Float64(data=float(value))
+
+    return {
+        "~/target": (
+            PoseStamped,
+            lambda time, frame, out, _: pose_stamped(time, frame, out.target_pose),
+        ),
+        "~/tracking_error": (
+            Vector3Stamped,
+            lambda time, frame, out, _: vector_message(time, frame, out.error),
+        ),
+        "~/critic_weights": (
+            Float64MultiArray,
+            lambda time, frame, out, _: array_message(labels, out.weights.critic),
+        ),
+        "~/actor_weights": (
+            Float64MultiArray,
+            lambda time, frame, out, _: array_message(labels, out.weights.actor),
+        ),
+        "~/bellman_error": (Float64, lambda time, frame, out, _: scalar(out.bellman_error)),
+        "~/excitation": (Float64, lambda time, frame, out, _: scalar(out.excitation)),
+        "~/cost": (Float64, lambda time, frame, out, cost: scalar(cost)),
+    }
 
 
 class Telemetry:
@@ -94,35 +126,9 @@ class Telemetry:
         self._diagnostics = _quiet_publisher(node, DiagnosticArray, "/diagnostics", 10)
         # Whether or not somebody listens: without it a run cannot be replayed.
         self._pose = _quiet_publisher(node, Vector3Stamped, "~/measured_pose", LOSSLESS)
-
-        def scalar(value: Any) -> Float64:
-            return Float64(data=float(value))
-
-        # Topic name -> how to make its message of a step's time [ns], frame, output and cost.
-        makers: dict[str, tuple[type, Callable[[int, str, FollowerOutput, float], Any]]] = {
-            "~/target": (
-                PoseStamped,
-                lambda t, frame, out, _: pose_stamped(t, frame, out.target_pose),
-            ),
-            "~/tracking_error": (
-                Vector3Stamped,
-                lambda t, frame, out, _: vector_message(t, frame, out.error),
-            ),
-            "~/critic_weights": (
-                Float64MultiArray,
-                lambda t, frame, out, _: array_message(labels, out.weights.critic),
-            ),
-            "~/actor_weights": (
-                Float64MultiArray,
-                lambda t, frame, out, _: array_message(labels, out.weights.actor),
-            ),
-            "~/bellman_error": (Float64, lambda t, frame, out, _: scalar(out.bellman_error)),
-            "~/excitation": (Float64, lambda t, frame, out, _: scalar(out.excitation)),
-            "~/cost": (Float64, lambda t, frame, out, cost: scalar(cost)),
-        }
-        self._steps: list[tuple[Publisher, Callable[..., Any]]] = [
+        self._steps: list[tuple[Publisher, MakeMessage]] = [
             (_quiet_publisher(node, kind, topic, LOSSLESS if lossless else EVERY_STEP), make)
-            for topic, (kind, make) in makers.items()
+            for topic, (kind, make) in _step_messages(labels).items()
         ]
         self._heard = self._steps  # those of them that somebody listens to
 
@@ -140,7 +146,7 @@ class Telemetry:
         for publisher, make in self._steps_to_tell(time):
             publisher.publish(make(time, frame, output, cost))
 
-    def _steps_to_tell(self, time: int) -> list[tuple[Publisher, Callable[..., Any]]]:
+    def _steps_to_tell(self, time: int) -> list[tuple[Publisher, MakeMessage]]:
         """Return what is to be published of a step at a time [ns].
 
         To ask seven publishers for their subscriptions costs as much as to publish a message.
