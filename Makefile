@@ -33,10 +33,11 @@ format: $(VENV)/ready-lint  ## Format the code
 docs: $(VENV)/ready  ## Generate docs/parameters.md
 	$(BIN)/adp parameters --format markdown > docs/parameters.md
 
-bench: $(VENV)/ready-test  ## Measure ticks, learning steps and the node against floors and peers
+bench: $(VENV)/ready-test  ## Measure ticks, learning steps, simulation and the node
 	@rm -f $(BENCH_RESULTS)
 	$(BENCH) bench/tick.py --json $(BENCH_RESULTS)
 	$(BENCH) bench/policy.py --json $(BENCH_RESULTS) --figure docs/images/learning_step.png
+	$(BENCH) bench/simulation.py --json $(BENCH_RESULTS)
 	$(BENCH) bench/node.py --json $(BENCH_RESULTS)
 	@$(BENCH) bench/timing.py $(BENCH_RESULTS)
 
