@@ -63,7 +63,7 @@ class FollowerOutput(ControlOutput):
 
 @dataclass(frozen=True)
 class _Situation:
-    """The value function and the model where a robot is.
+    """What the policy goes by where a robot is.
 
     Attributes:
         zeta: The state, shape (..., 4).
@@ -71,11 +71,8 @@ class _Situation:
         v_des: Speed along the path there [m/s], shape (...); None where it does not vary.
         feedforward: [v_ss, w_ss], shape (..., 2).
         heading: cos and sin of the heading error, numbers of shape (...).
-        drift: f, four such numbers.
         expansion: sigma and sigma'.
         local: The weights.
-        value: Wc^T sigma, shape (...).
-        passing: How fast the value changes because the target moves on, shape (...).
 
     """
 
@@ -84,10 +81,21 @@ class _Situation:
     v_des: FloatArray | None
     feedforward: FloatArray
     heading: Numbers
-    drift: Numbers
     expansion: Expansion
     local: LocalWeights
-    value: FloatArray
+
+
+@dataclass(frozen=True)
+class _Unforced:
+    """How state and value change by themselves where a robot is.
+
+    Attributes:
+        drift: f, four numbers of shape (...).
+        passing: How fast the value changes because the target moves on, shape (...).
+
+    """
+
+    drift: Numbers
     passing: FloatArray
 
 
@@ -251,7 +259,8 @@ class PathFollower:
         here = self._situation(frame, error)
         wanted = self._wanted(here)
         learned = applied = saturate(wanted, here.feedforward, self.settings.limits)
-        running_cost, measured = self._measure(here, learned)
+        unforced = self._unforced(here)
+        running_cost, measured = self._measure(here, unforced, learned)
         doubt = self._doubt(here, running_cost, measured, dt)
         if self._fallback is not None and doubt.any():
             safe = self._fallback.modified_input(here.zeta, here.curvature, here.feedforward)
@@ -263,7 +272,7 @@ class PathFollower:
         if command is not wanted and (command != wanted).any():
             applied = command - here.feedforward
         if applied is not learned:
-            running_cost, measured = self._measure(here, applied)
+            running_cost, measured = self._measure(here, unforced, applied)
         return FollowerOutput(
             command=command,
             modified_input=applied,
@@ -279,28 +288,19 @@ class PathFollower:
         )
 
     def _situation(self, frame: PathFrame, error: FloatArray) -> _Situation:
-        """Return the value function and the model at an error from a frame of the path."""
+        """Return what the policy goes by at an error from a frame of the path."""
         target, curvature, v_des = self.settings.target, frame.curvature[()], self._target.v_des
         phi = error_dynamics.path_state(self.arc_length[()], target)
         s, y, theta = numbers(error)
         zeta = components(s, y, theta, phi)
-        expansion = self._basis.expansion(zeta)
-        local = self._learner.local(self.arc_length)
-        passing = np.zeros(())[()]
-        if local.slope is not None:  # the value function changes along the path by itself
-            speed = error_dynamics.target_speed(error, target, v_des)
-            passing = speed * _product(local.slope, expansion.value)
         return _Situation(
             zeta=zeta,
             curvature=curvature,
             v_des=v_des,
             feedforward=error_dynamics.feedforward(curvature, target, v_des),
             heading=(cos(theta), sin(theta)),
-            drift=numbers(error_dynamics.drift(zeta, curvature, target, v_des)),
-            expansion=expansion,
-            local=local,
-            value=_product(local.weights.critic, expansion.value),
-            passing=passing,
+            expansion=self._basis.expansion(zeta),
+            local=self._learner.local(self.arc_length),
         )
 
     def _wanted(self, here: _Situation) -> FloatArray:
@@ -310,10 +310,22 @@ class PathFollower:
         descent = components(ahead * by_s + aside * by_y, by_theta)  # g^T sigma'^T Wa
         return descending_input(descent, self._inverse_cost)
 
-    def _measure(self, here: _Situation, applied: FloatArray) -> tuple[FloatArray, BellmanErrors]:
+    def _unforced(self, here: _Situation) -> _Unforced:
+        """Return how state and value change by themselves."""
+        target, slope = self.settings.target, here.local.slope
+        passing = np.zeros(())[()]
+        if slope is not None:  # the value function changes along the path by itself
+            speed = error_dynamics.target_speed(here.zeta, target, here.v_des)
+            passing = speed * _product(slope, here.expansion.value)
+        drift = error_dynamics.drift(here.zeta, here.curvature, target, here.v_des)
+        return _Unforced(numbers(drift), passing)
+
+    def _measure(
+        self, here: _Situation, unforced: _Unforced, applied: FloatArray
+    ) -> tuple[FloatArray, BellmanErrors]:
         """Return the running cost and the Bellman error of an input (..., 2)."""
         running_cost = self._running_cost(here.zeta[..., :3], applied)
-        (s_rate, y_rate, turn, phi_rate), (ahead, aside) = here.drift, here.heading
+        (s_rate, y_rate, turn, phi_rate), (ahead, aside) = unforced.drift, here.heading
         v, w = numbers(applied)
         regressor = here.expansion.rate(
             (s_rate + ahead * v, y_rate + aside * v, turn + w, phi_rate)  # f + g u
@@ -321,7 +333,7 @@ class PathFollower:
         errors = bellman_errors(
             here.local.weights.critic,
             regressor[..., None, :],
-            (running_cost + here.passing)[..., None],
+            (running_cost + unforced.passing)[..., None],
         )
         return running_cost, errors
 
@@ -331,8 +343,9 @@ class PathFollower:
         """Return the share of the Riccati policy, from 0 to 1, shape (...)."""
         if self._fallback is None:
             return np.zeros_like(running_cost)
+        value = _product(here.local.weights.critic, here.expansion.value)
         safe_value = self._fallback.value(here.zeta, here.curvature, here.v_des)
-        doubtful = is_doubtful(measured.error[..., 0], running_cost, here.value, safe_value)
+        doubtful = is_doubtful(measured.error[..., 0], running_cost, value, safe_value)
         return self._distrust.share(doubtful, dt)
 
     def hold(self) -> None:
