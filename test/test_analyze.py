@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -25,22 +22,12 @@ from bag_messages import (
     twist,
     write_bag,
 )
+from commands import Done, adp
 
 from adp_path_follower.analysis.bag_metrics import METRIC_NAMES, parse_requirement
 from adp_path_follower.core.errors import AdpError
 
 pytest.importorskip("plotly", reason="the report needs the extra 'report'")
-
-
-def adp(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "adp_path_follower.cli.main", "analyze", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=120,
-        env={**os.environ, "COLUMNS": "100"},
-    )
 
 
 # Requirements
@@ -81,12 +68,13 @@ def test_requirements_that_make_no_sense(requirement, message):
 
 
 @pytest.fixture(scope="module")
-def reported(tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+def reported(tmp_path_factory) -> tuple[Path, Done]:
     """Return the output of an analysis of two bags with hostile strings."""
     folder = tmp_path_factory.mktemp("reported")
     write_bag(folder / "mine", learner_run())
     write_bag(folder / "other", drive_on_line(lambda _: 0.05, commands=twist))
     done = adp(
+        "analyze",
         *("mine", "other", "--out", "out"),
         *("--require", "cross_track_rms<0.06", "--require", "cross_track_max<0.1"),
         cwd=folder,
@@ -136,7 +124,7 @@ def test_names_that_look_like_tags_stay_text(tmp_path):
     messages = [*learner_run(hostile=attack), (f"/{attack}", 0, text("x"))]
     write_bag(tmp_path / "bag", sorted(messages, key=lambda item: item[1]))
     (tmp_path / "bag").rename(tmp_path / "<script>alert(3)<")
-    done = adp("<script>alert(3)<", "--out", "out", cwd=tmp_path)
+    done = adp("analyze", "<script>alert(3)<", "--out", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "alert(1)" in page
@@ -197,7 +185,9 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize(("arguments", "expected"), BAD_INPUT)
 def test_bad_input_is_one_sentence_and_exit_code_2(folder, arguments, expected):
-    done = adp(*arguments, *([] if "--out" in arguments else ["--out", "out"]), cwd=folder)
+    done = adp(
+        "analyze", *arguments, *([] if "--out" in arguments else ["--out", "out"]), cwd=folder
+    )
     assert done.returncode == 2
     assert expected.format(folder=folder) in done.stderr
     assert "Traceback" not in done.stderr
@@ -205,7 +195,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, arguments, expected):
 
 
 def test_help_teaches(tmp_path):
-    done = adp("--help", cwd=tmp_path)
+    done = adp("analyze", "--help", cwd=tmp_path)
     assert done.returncode == 0
     for word in ("--odom", "--cmd", "--path", "--require", "trajectory.tum", "Exit code 1"):
         assert word in done.stdout

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from commands import adp
 
 from adp_path_follower.cli import main
 
@@ -20,15 +21,30 @@ OPTIMUM = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text
 PAPER = str(Path(__file__).parents[1] / "config" / "paper.yaml")
 
 
-def adp(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--version"], 0, "adp, version "),
+        (["simulate", "--duration", "1"], 0, "cost"),
+        (["simulate", "--path", "spiral"], 2, "unknown path 'spiral'"),
+        (["simulate", "--speed", "1"], 2, "No such option"),
+    ],
+)
+def test_a_process_of_its_own_says_the_same(tmp_path, arguments, code, words):
+    done = subprocess.run(
         [sys.executable, "-m", "adp_path_follower.cli.main", *arguments],
         capture_output=True,
         text=True,
-        cwd=cwd,
+        cwd=tmp_path,
         timeout=120,
         env={**os.environ, "COLUMNS": "100"},
     )
+    here = adp(*arguments, cwd=tmp_path)
+    assert done.returncode == here.returncode == code
+    assert done.stdout == here.stdout
+    assert words in done.stdout + done.stderr
+    if code:  # usage, above it, names the program as it was called
+        assert done.stderr.splitlines()[-1] == here.stderr.splitlines()[-1]
 
 
 def test_help_teaches():
