@@ -24,6 +24,7 @@ from distributed import LocalCluster
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.schema import flatten
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.sweeping.interrupts import Interrupts
 from adp_path_follower.sweeping.plan import Plan, work_off
 from adp_path_follower.sweeping.sweep_file import read_sweep
 
@@ -155,9 +156,26 @@ def test_ctrl_c_is_answered_in_words(tmp_path):
     )
     os.killpg(running.pid, signal.SIGINT)
     _, told = running.communicate(timeout=TIMEOUT)
-    assert running.returncode == 130
+    assert running.returncode == 130, told
     assert "the same command goes on from it" in told
     assert "Traceback" not in told
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_where_python_ignores_it_is_not_lost():
+    class Dying:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    with Interrupts() as interrupts:
+        interrupts.check()
+        Dying()
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def check_what_was_written(file: Path, out: Path, found: dict[str, np.ndarray]) -> None:

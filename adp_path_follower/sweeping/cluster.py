@@ -16,6 +16,7 @@ from distributed.scheduler import KilledWorker
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.sweeping.interrupts import Interrupts
 
 Work = TypeVar("Work")
 
@@ -30,9 +31,9 @@ _RETRIES = 2  # of work that failed where it was done; a worker that dies is ano
 class Workers:
     """What does work somewhere else."""
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: Client, interrupts: Interrupts) -> None:
         """Take a connected client."""
-        self._client = client
+        self._client, self._interrupts = client, interrupts
 
     @property
     def count(self) -> int:
@@ -50,6 +51,7 @@ class Workers:
             AdpError: It failed, or killed worker after worker, or the scheduler is gone.
 
         """
+        self._interrupts.check()
         try:
             return future.result()
         except KilledWorker as error:
@@ -108,12 +110,9 @@ def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
 
     """
     _silence()
-    if address is None:
-        with _local(count) as client:
-            yield Workers(client)
-        return
-    with _connected(address) as client:
-        yield Workers(client)
+    connected = _local(count) if address is None else _connected(address)
+    with connected as client, Interrupts() as interrupts:
+        yield Workers(client, interrupts)
 
 
 def _silence() -> None:
