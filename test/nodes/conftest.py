@@ -11,8 +11,6 @@ from typing import Any
 import pytest
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-# Nodes that start after the peer would often wait for its next announcement, up to 3 s.
-os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).with_name("quick_discovery.xml"))
 
 import numpy as np
 import rclpy
