@@ -24,7 +24,7 @@ from distributed import LocalCluster
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.schema import flatten
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.sweeping.interrupts import Interrupts
+from adp_path_follower.sweeping.interrupts import noted_interrupts
 from adp_path_follower.sweeping.plan import Plan, work_off
 from adp_path_follower.sweeping.sweep_file import read_sweep
 
@@ -168,11 +168,11 @@ def test_an_interrupt_where_python_ignores_it_is_not_lost():
             signal.raise_signal(signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
-    with Interrupts() as interrupts:
-        interrupts.check()
+    with noted_interrupts() as check:
+        check()
         Dying()
         with pytest.raises(KeyboardInterrupt):
-            interrupts.check()
+            check()
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before

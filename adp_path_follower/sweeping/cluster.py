@@ -16,7 +16,7 @@ from distributed.scheduler import KilledWorker
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.sweeping.interrupts import Interrupts
+from adp_path_follower.sweeping.interrupts import noted_interrupts
 
 Work = TypeVar("Work")
 
@@ -31,9 +31,9 @@ _RETRIES = 2  # of work that failed where it was done; a worker that dies is ano
 class Workers:
     """What does work somewhere else."""
 
-    def __init__(self, client: Client, interrupts: Interrupts) -> None:
-        """Take a connected client."""
-        self._client, self._interrupts = client, interrupts
+    def __init__(self, client: Client, check_interrupts: Callable[[], None]) -> None:
+        """Take a connected client, and what raises interrupts that were noted."""
+        self._client, self._check_interrupts = client, check_interrupts
 
     @property
     def count(self) -> int:
@@ -51,7 +51,7 @@ class Workers:
             AdpError: It failed, or killed worker after worker, or the scheduler is gone.
 
         """
-        self._interrupts.check()
+        self._check_interrupts()
         try:
             return future.result()
         except KilledWorker as error:
@@ -111,8 +111,8 @@ def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
     """
     _silence()
     connected = _local(count) if address is None else _connected(address)
-    with connected as client, Interrupts() as interrupts:
-        yield Workers(client, interrupts)
+    with connected as client, noted_interrupts() as check_interrupts:
+        yield Workers(client, check_interrupts)
 
 
 def _silence() -> None:
