@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from adp_path_follower.baselines.nearest import NearestPlace
 from adp_path_follower.baselines.peer import PeerController
 from adp_path_follower.core.error_dynamics import tracking_error
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, contiguous
 from adp_path_follower.core.path import Path, PathFrame
 from adp_path_follower.core.settings import Settings
 
@@ -138,7 +138,7 @@ class RegulatedPurePursuit(PeerController):
         carrot = _carrot(self.path, self._nearest, pose, self.lookahead(twist[..., 0]))
         curvature = pursuit_curvature(carrot)
         speed = self.regulated_speed(curvature)
-        bearing = np.arctan2(carrot[..., 1], carrot[..., 0])
+        bearing = np.arctan2(contiguous(carrot[..., 1]), contiguous(carrot[..., 0]))
         turning = np.abs(bearing) > self.rules.rotate_to_heading_min_angle
         linear = np.where(turning, 0.0, speed)
         turn = self._turn_in_place(bearing, twist[..., 1], dt if dt > 0.0 else _NAV2_PERIOD)

@@ -13,6 +13,7 @@ import numpy as np
 from adp_path_follower.core.geometry import (
     FloatArray,
     components,
+    contiguous,
     cos,
     numbers,
     sin,
@@ -48,7 +49,7 @@ def path_state(arc_length: FloatArray, target: TargetSettings) -> FloatArray:
 
 def arc_length_of(phi: FloatArray, target: TargetSettings) -> FloatArray:
     """Return the arc length s_p [m] of a compact path state, same shape."""
-    return np.asarray(np.arctanh(phi) / target.path_state_gain)
+    return np.asarray(np.arctanh(contiguous(phi)) / target.path_state_gain)
 
 
 def feedforward(

@@ -34,6 +34,16 @@ def unpacked(array: FloatArray) -> tuple[FloatArray, ...]:
     return tuple(array[..., index][()] for index in range(array.shape[-1]))
 
 
+def contiguous(array: FloatArray) -> FloatArray:
+    """Return an array whose numbers lie side by side in memory; a single number as it is.
+
+    numpy 1 computes arctan2, exp and the like of components, which lie apart, with another routine
+    where the result happens to come right behind them in memory: two equal runs could differ in
+    the last bit.
+    """
+    return array if isinstance(array, float) else np.asarray(array, order="C")
+
+
 def numbers(array: FloatArray) -> tuple[FloatArray, ...]:
     """Return the components along the last axis, as `unpacked`, of one vector as Python's floats.
 

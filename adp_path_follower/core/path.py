@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from adp_path_follower.core.errors import PathError
-from adp_path_follower.core.geometry import FloatArray, components, unpacked
+from adp_path_follower.core.geometry import FloatArray, components, contiguous, unpacked
 
 MAX_POINTS = 1_000_000
 _COINCIDENCE = 1e-6  # [m]: points nearer than this to the one before count once
@@ -183,7 +183,7 @@ class Path:
         powers = (inside - piece * self._step)[..., None] ** self._degrees
         values = np.matmul(self._blocks[piece], powers[..., None])[..., 0]
         x, y, dx, dy, ddx, ddy = unpacked(values)
-        heading = np.arctan2(dy, dx)
+        heading = np.arctan2(contiguous(dy), contiguous(dx))
         curvature = (dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5
         if beyond is not None:
             curvature = np.where(beyond == 0.0, curvature, 0.0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core.errors import PathError
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, contiguous
 from adp_path_follower.core.path import (
     Path,
     TurningBackError,
@@ -113,7 +113,7 @@ def _against_motion(poses: _Poses) -> np.ndarray:
     if poses.headings is None:
         return np.zeros(len(poses.points) - 1, dtype=bool)
     chords = np.diff(poses.points, axis=0)
-    motion = np.arctan2(chords[:, 1], chords[:, 0])
+    motion = np.arctan2(*contiguous(chords.T[::-1]))
     ends = [np.cos(poses.headings[:-1] - motion), np.cos(poses.headings[1:] - motion)]
     return np.asarray((ends[0] < -_DECIDED) & (ends[1] < -_DECIDED))
 
@@ -232,7 +232,7 @@ def _directions(poses: _Poses, kept: np.ndarray, cusps: np.ndarray) -> np.ndarra
     chords = np.diff(poses.points[kept], axis=0)
     decided = np.zeros(len(chords))
     if poses.headings is not None:
-        motion = np.arctan2(chords[:, 1], chords[:, 0])
+        motion = np.arctan2(*contiguous(chords.T[::-1]))
         # Of all poses from one kept point to the next, both included.
         sums = np.zeros((2, len(poses.points) + 1))
         known = np.isfinite(poses.headings)

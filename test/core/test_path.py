@@ -290,6 +290,19 @@ def test_points_along_a_path():
             np.testing.assert_allclose(poses[-1], path.frame(path.length).pose, atol=1e-9)
 
 
+def test_frames_do_not_depend_on_where_in_memory_they_are(figure_eight):
+    """For arctan2 of components, numpy 1.26 chooses between two routines by where they are."""
+    places, held, random = np.linspace(0.0, 40.0, 200), [], np.random.default_rng(1)
+    first = figure_eight.frame(places)
+    for _ in range(3000):
+        held.append(np.empty(random.integers(160, 202)))
+        if len(held) > 60:
+            del held[random.integers(60)]
+        again = figure_eight.frame(places)
+        assert (again.pose == first.pose).all()
+        assert (again.curvature == first.curvature).all()
+
+
 def test_digests_tell_paths_apart():
     angles = np.linspace(0.0, 5.0, 60)
     points = np.stack([np.sin(angles), np.cos(angles)], axis=-1)
