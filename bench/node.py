@@ -43,7 +43,6 @@ _RATES = (20.0, 50.0, 100.0, 200.0)
 _CONTROLLER = {"control_trigger": "odometry", "path_start": "beginning"}
 _WARM_UP = 1200  # messages: the first 1000 steps are told to those who may join late
 _PATIENCE = 60.0  # [s]
-_RELAY = Path(__file__).with_name("relay.py")
 _TICKS = os.sysconf("SC_CLK_TCK")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
@@ -51,8 +50,8 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 class Contender:
     """A node under test in a process of its own, and who talks to it."""
 
-    def __init__(self, name: str, domain: int, folder: Path, parameters: dict[str, Any] | None):
-        """Start the controller with parameters, or without them the relay."""
+    def __init__(self, name: str, domain: int, folder: Path) -> None:
+        """Start one of `CONTENDERS`."""
         self.name = name
         self._context = rclpy.Context()
         self._context.init(domain_id=domain)
@@ -71,17 +70,17 @@ class Contender:
         self._twist = (0.0, 0.0)
         self._log = folder / f"{name}_{time.monotonic_ns()}.log"
         self._begun = time.perf_counter()
-        self.process = self._start(domain, parameters)
+        self.process = self._start(domain, CONTENDERS[name])
 
     def _start(
-        self, domain: int, parameters: dict[str, Any] | None
+        self, domain: int, what: dict[str, Any] | str
     ) -> subprocess.Popen[bytes] | subprocess.Popen[str]:
-        if parameters is not None:
-            node = NodeProcess("controller", parameters, log=self._log, domain=domain)
+        if not isinstance(what, str):
+            node = NodeProcess("controller", what, log=self._log, domain=domain)
             return node.process
         with self._log.open("wb") as output:
             return subprocess.Popen(  # noqa: S603  # our own script
-                [sys.executable, str(_RELAY)],
+                [sys.executable, str(Path(__file__).with_name(what))],
                 env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -156,11 +155,21 @@ class Contender:
         self._context.try_shutdown()
 
 
-KINDS: dict[str, dict[str, Any] | None] = {
-    "relay": None,
+# What runs under a name: a script, or the controller with parameters.
+CONTENDERS: dict[str, dict[str, Any] | str] = {
+    "relay": "relay.py",
+    "furnished relay": "furnished_relay.py",
     "controller": _CONTROLLER,
     "controller, not learning": {**_CONTROLLER, "learning": False},
 }
+# Who is set beside whom, and whether there is a target for that.
+_COMPARED = (
+    ("relay", "relay", False),
+    ("furnished relay", "relay", False),
+    ("controller", "relay", True),
+    ("controller", "furnished relay", False),
+    ("controller, not learning", "relay", True),
+)
 
 
 def turns(folder: Path, rounds: int, seconds: float) -> list[Row]:
@@ -168,8 +177,8 @@ def turns(folder: Path, rounds: int, seconds: float) -> list[Row]:
     rows = []
     with ExitStack() as stack:
         contenders = []
-        for name, parameters in KINDS.items():
-            contender = Contender(name, stack.enter_context(own_domain()), folder, parameters)
+        for name in CONTENDERS:
+            contender = Contender(name, stack.enter_context(own_domain()), folder)
             stack.callback(contender.close)
             contenders.append(contender)
         for contender in contenders:
@@ -195,30 +204,33 @@ def turns(folder: Path, rounds: int, seconds: float) -> list[Row]:
 def _rows(
     rate: float, used: dict[str, float], latency: dict[str, list[float]], duration: float
 ) -> list[Row]:
+    found = {
+        name: (
+            ("processor", 100.0 * used[name] / duration, "% of a core", 1.5),
+            ("latency, median", 1e3 * float(np.median(latency[name])), "ms", 1.5),
+            ("latency, 99 %", 1e3 * float(np.quantile(latency[name], 0.99)), "ms", None),
+        )
+        for name in used
+    }
     rows = []
-    for name in used:
-        target = None if name == "relay" else 1.5
-        median = {kind: float(np.median(latency[kind])) for kind in ("relay", name)}
-        slow = {kind: float(np.quantile(latency[kind], 0.99)) for kind in ("relay", name)}
-        heading = f"{rate:g} Hz, {name}"
-        share = used[name] / max(used["relay"], 1e-9)
-        late, late_99 = median[name] / median["relay"], slow[name] / slow["relay"]
-        percent = 100.0 * used[name] / duration
-        rows += [
-            Row(f"{heading}: processor", percent, "% of a core", share, "relay", target),
-            Row(f"{heading}: latency, median", 1e3 * median[name], "ms", late, "relay", target),
-            Row(f"{heading}: latency, 99 %", 1e3 * slow[name], "ms", late_99, "relay"),
-        ]
+    for name, against, has_target in _COMPARED:
+        for mine, other in zip(found[name], found[against], strict=True):
+            what, value, unit, target = mine
+            ratio = value / max(other[1], 1e-9)
+            heading = f"{rate:g} Hz, {name}: {what}"
+            rows.append(Row(heading, value, unit, ratio, against, target if has_target else None))
     return rows
 
 
 def starts(folder: Path, rounds: int) -> list[Row]:
     """Return how long it takes from the start of the process to the first command."""
-    times: dict[str, list[float]] = {name: [] for name in ("relay", "controller")}
+    times: dict[str, list[float]] = {
+        name: [] for name in ("relay", "furnished relay", "controller")
+    }
     for _ in range(rounds):
         for name, found in times.items():
             with own_domain() as domain:
-                contender = Contender(name, domain, folder, KINDS[name])
+                contender = Contender(name, domain, folder)
                 try:
                     found.append(contender.started())
                 finally:
@@ -231,7 +243,7 @@ def starts(folder: Path, rounds: int) -> list[Row]:
             "s",
             float(np.median(found)) / relay,
             "relay",
-            None if name == "relay" else 1.5,
+            1.5 if name == "controller" else None,
         )
         for name, found in times.items()
     ]
@@ -240,7 +252,7 @@ def starts(folder: Path, rounds: int) -> list[Row]:
 def memory(folder: Path, seconds: float) -> list[Row]:
     """Return the memory of a controller after some time at 100 Hz, and how fast it grows then."""
     with own_domain() as domain:
-        contender = Contender("controller", domain, folder, _CONTROLLER)
+        contender = Contender("controller", domain, folder)
         try:
             contender.started()
             contender.feed(200.0, lambda count: count >= _WARM_UP)

@@ -3,13 +3,12 @@
 import rclpy
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
 
-def main() -> None:
-    """Relay until the process is ended."""
-    rclpy.init()
-    node = rclpy.create_node("relay")
+def relay_with(node: Node) -> None:
+    """Relay with a node until the process is ended."""
     publisher = node.create_publisher(TwistStamped, "cmd_vel", 10)
 
     def relay(message: Odometry) -> None:
@@ -25,4 +24,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    rclpy.init()
+    relay_with(rclpy.create_node("relay"))

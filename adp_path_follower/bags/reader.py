@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from adp_path_follower.bags.columns import Columns, Series
-from adp_path_follower.bags.path_message import read_path
+from adp_path_follower.bags.raw_messages import read_path
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from adp_path_follower.bags.configuration import Configuration, parse_configuration
-from adp_path_follower.bags.path_message import transformed
+from adp_path_follower.bags.raw_messages import transformed
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray

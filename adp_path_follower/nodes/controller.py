@@ -88,7 +88,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         labels = self._settings.learning.value_basis.labels
         self._telemetry = Telemetry(self, labels, lossless, lambda: self._settings.controller)
         odom = self.create_subscription(
-            Odometry, "odom", self._receive_odometry, qos_profile_sensor_data
+            Odometry, "odom", self._receive_odometry, qos_profile_sensor_data, raw=True
         )
         limit = self.create_subscription(Float64, "speed_limit", self._receive_speed_limit, 1)
         self._path = PathInput(
@@ -155,10 +155,10 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     # Inputs
 
-    def _receive_odometry(self, message: Odometry) -> None:
+    def _receive_odometry(self, raw: bytes) -> None:
         now = steady.monotonic()
         try:
-            measurement = measurement_of(message)
+            measurement = measurement_of(raw)
         except MessageError as error:
             self._supervisor.odometry_received(now, str(error))
             self._update_status()

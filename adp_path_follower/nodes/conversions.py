@@ -11,6 +11,8 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
+from adp_path_follower.bags.cdr import CdrError
+from adp_path_follower.bags.raw_messages import read_odometry
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, advance_pose, yaw_of_quaternion
 
@@ -64,14 +66,13 @@ def make_header(time: int, frame: str) -> Header:
     return header
 
 
-def yaw_of(rotation: Quaternion) -> float:
-    """Return the heading [rad] of a rotation, which need not have unit norm.
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the heading [rad] of a rotation, given by a quaternion of any norm.
 
     Raises:
         MessageError: The quaternion is not finite or has zero norm.
 
     """
-    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
     squared_norm = x * x + y * y + z * z + w * w
     if not math.isfinite(squared_norm):
         raise MessageError(f"orientation is not finite: x {x}, y {y}, z {z}, w {w}")
@@ -85,28 +86,30 @@ def quaternion_of(yaw: float) -> Quaternion:
     return Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw))
 
 
-def measurement_of(message: Odometry) -> Measurement:
-    """Return what an odometry message says.
+def measurement_of(raw: bytes) -> Measurement:
+    """Return what a serialised odometry message says.
 
     Raises:
-        MessageError: A value is not finite, or the quaternion has zero norm.
+        MessageError: The bytes are no such message, a value is not finite, or the quaternion has
+            zero norm.
 
     """
-    position, linear = message.pose.pose.position, message.twist.twist.linear
     try:
-        yaw = yaw_of(message.pose.pose.orientation)
+        found = read_odometry(raw)
+        yaw = yaw_of(*found.quaternion)
+    except CdrError as error:
+        raise MessageError(f"odometry cannot be read: {error}") from None
     except MessageError as error:
         raise MessageError(f"odometry {error}") from None
-    values = (position.x, position.y, linear.x, message.twist.twist.angular.z)
-    if not all(map(math.isfinite, values)):
-        x, y, v, w = values
+    (x, y, _), v, w = found.position, found.linear, found.angular
+    if not all(map(math.isfinite, (x, y, v, w))):
         raise MessageError(f"odometry is not finite: x {x}, y {y}, v {v}, w {w}")
     return Measurement(
-        stamp=stamp_nanoseconds(message.header),
-        pose=np.array([position.x, position.y, yaw]),
-        twist=np.array([linear.x, message.twist.twist.angular.z]),
-        frame=message.header.frame_id,
-        child_frame=message.child_frame_id,
+        stamp=found.seconds * NANOSECONDS + found.nanoseconds,
+        pose=np.array([x, y, yaw]),
+        twist=np.array([v, w]),
+        frame=found.frame,
+        child_frame=found.child_frame,
     )
 
 

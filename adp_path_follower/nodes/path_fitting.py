@@ -21,7 +21,7 @@ import numpy as np
 from rclpy.logging import get_logger
 
 from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.path_message import read_path, transformed
+from adp_path_follower.bags.raw_messages import read_path, transformed
 from adp_path_follower.core.errors import AdpError, PathError
 from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.route import Route

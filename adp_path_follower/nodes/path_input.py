@@ -9,7 +9,7 @@ from typing import Any
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 
-from adp_path_follower.bags.path_message import is_empty
+from adp_path_follower.bags.raw_messages import is_empty
 from adp_path_follower.core.settings import PathSettings
 from adp_path_follower.nodes.frames import frame_transform
 from adp_path_follower.nodes.path_fitting import Fit

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from adp_path_follower.bags.path_message import frame_of
+from adp_path_follower.bags.raw_messages import frame_of
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings

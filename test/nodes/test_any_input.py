@@ -102,7 +102,7 @@ class Spied(PathFollowerNode):
     def take(self, message):
         """Take an odometry message or a path."""
         if isinstance(message, Odometry):
-            self._receive_odometry(message)
+            self._receive_odometry(serialize_message(message))
         else:
             self._path._receive(serialize_message(message))
         self._take_path()

@@ -22,7 +22,7 @@ from rclpy.serialization import serialize_message
 
 from adp_path_follower.analysis.drive import drive_of
 from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.path_message import is_empty, read_path, transformed
+from adp_path_follower.bags.raw_messages import is_empty, read_path, transformed
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.replay import replay
 from adp_path_follower.core.settings import PathSettings
