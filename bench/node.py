@@ -1,8 +1,9 @@
-"""Measure the controller node against a bare rclpy relay of the same messages, in turns.
+"""Measure the controller node against rclpy relays of the same messages, in turns.
 
     python bench/node.py [--seconds 10] [--rounds 3] [--memory 600] [--json FILE]
 
-Relay and controllers are processes on DDS domains of their own. The bench sends odometry at 20, 50,
+One relay is bare, one is furnished with the controller's services, subscriptions and watch. Relays
+and controllers are processes on DDS domains of their own. The bench sends odometry at 20, 50,
 100 and 200 Hz to one after the other, of a robot that drives on a circle as it is told, and waits
 for the command that answers it (`control_trigger: odometry`). Processor time is that of the process
 while it is its turn; latency is from before a message is published until its command was received.

@@ -114,8 +114,7 @@ def consists_of() -> list[Row]:
 def long_run(count: int) -> list[Row]:
     """Return how long ticks take that follow one another, and what the garbage collector does."""
     drive = Drive()
-    usual = np.median([drive.tick() for _ in range(500)])
-    turns = round(500 * usual / _plain_loop(500 * 20)) * 20
+    turns = _turns_of_a_loop_like(drive)
     collections: list[float] = []
     begun = 0.0
 
@@ -140,6 +139,31 @@ def long_run(count: int) -> list[Row]:
     if collections:
         rows.append(Row("the longest of them", max(collections)))
     return rows
+
+
+def after_rest(count: int = 500) -> list[Row]:
+    """Return how long ticks take that a node does: each after the sleep of a period at 100 Hz."""
+    drive = Drive()
+    turns = _turns_of_a_loop_like(drive)
+    rows = []
+    for name, work in (("tick", drive.tick), ("plain loop", lambda: _plain_loop(turns))):
+        at_once, rested = np.empty((2, count))
+        for index in range(count):
+            work()
+            at_once[index] = work()
+            time.sleep(1e-9 * _PERIOD)
+            rested[index] = work()
+        usual, found = float(np.median(at_once)), float(np.median(rested))
+        rows.append(
+            Row(f"default: {name} after 10 ms of sleep", found, "µs", found / usual, "at once")
+        )
+    return rows
+
+
+def _turns_of_a_loop_like(drive: Drive) -> int:
+    """Return how many turns of a plain loop take as long as a tick."""
+    usual = np.median([drive.tick() for _ in range(500)])
+    return round(500 * float(usual) / _plain_loop(500 * 20)) * 20
 
 
 def _plain_loop(turns: int) -> float:
@@ -181,7 +205,8 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--ticks", type=int, default=100_000, help="of the long run")
     given = parser.parse_args()
-    report([*consists_of(), *long_run(given.ticks), *allocations()], given.json)
+    rows = [*consists_of(), *long_run(given.ticks), *after_rest(), *allocations()]
+    report(rows, given.json)
 
 
 if __name__ == "__main__":
