@@ -161,6 +161,7 @@ def test_ctrl_c_is_answered_in_words(tmp_path):
     assert "Traceback" not in told
 
 
+# The warning is that Python ignores the interrupt, which is what the test is about.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_an_interrupt_where_python_ignores_it_is_not_lost():
     class Dying:

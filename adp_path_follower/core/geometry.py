@@ -37,9 +37,9 @@ def unpacked(array: FloatArray) -> tuple[FloatArray, ...]:
 def contiguous(array: FloatArray) -> FloatArray:
     """Return an array whose numbers lie side by side in memory; a single number as it is.
 
-    numpy 1 computes arctan2, exp and the like of components, which lie apart, with another routine
-    where the result happens to come right behind them in memory: two equal runs could differ in
-    the last bit.
+    numpy 1.26 computes arctan2, exp and the like of components, which lie apart, with another
+    routine where the result happens to come right behind them in memory: two equal runs could
+    differ in the last bit.
     """
     return array if isinstance(array, float) else np.asarray(array, order="C")
 

@@ -72,3 +72,10 @@ def test_odometry_without_its_last_byte_is_refused():
     read_odometry(raw)
     with pytest.raises(CdrError, match="shorter than its fields"):
         read_odometry(raw[:-1])
+
+
+def test_odometry_is_refused_wherever_it_is_cut_off():
+    raw = odometry_bytes(np.arange(13.0).tolist())
+    for length in range(len(raw)):
+        with pytest.raises(CdrError):
+            read_odometry(raw[:length])

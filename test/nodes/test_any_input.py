@@ -205,6 +205,25 @@ def test_any_messages(node, messages, tolerance, first, limited):
         node.take(message)
 
 
+@settings(max_examples=60, deadline=None)
+@given(cut=st.integers(0, 750), place=st.integers(0, 749), value=st.integers(0, 255))
+@example(cut=0, place=0, value=0)
+def test_bytes_that_are_no_odometry_stop_the_robot(node, cut, place, value):
+    """Bytes that are cut off are told; one that is wrong may make numbers, whichever."""
+    node.begin()
+    node.take(LINE)
+    for step in range(3):
+        node.take(good_odometry(step))
+    raw = bytearray(serialize_message(good_odometry(3)))
+    node._receive_odometry(bytes(raw[: cut % len(raw)]))
+    assert "odometry cannot be read" in node._shown.cause
+    assert not node.commands[-1].any()
+    assert is_good_again(node, 3)
+    raw[place % len(raw)] = value
+    node._receive_odometry(bytes(raw))
+    node._watch()
+
+
 far = st.sampled_from([sign * 10.0**power for sign in (1, -1) for power in range(9)])
 
 
