@@ -200,6 +200,8 @@ class _Copy:
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, tuple[int, str, Schema]] = {}
         self._certain: set[tuple[type, int]] = set()
+        self._defined: set[int] = set()  # channels that the file has defined on the way
+        self._has_chunks = False
 
     @property
     def has_topics(self) -> bool:
@@ -228,17 +230,30 @@ class _Copy:
             for record in RecordScanner(stream, size, self, self._leave).records():
                 if record.opcode == Opcode.CHUNK:
                     self._add_chunk(record)
+                elif record.opcode == Opcode.MESSAGE and not self._belongs(record.body):
+                    self._leave(record.offset, len(record.body))
                 else:
                     self._add(record)
                 if record.offset >= shown:
                     progress(record.offset)
                     shown = record.offset + _PROGRESS_STEP
 
+    def _belongs(self, message: bytes) -> bool:
+        """Return whether the body of a message record outside chunks is a message.
+
+        One bit makes other records look like one: in a file with chunks the index of a chunk, and
+        before the channels the header and the definition of a channel. These do not decode.
+        """
+        (channel,) = struct.unpack_from("<H", message)
+        expected = channel in self._defined and not self._has_chunks
+        return expected or self.is_whole(message)
+
     def _leave(self, _: int, length: int) -> None:
         self.bytes_left += length
 
     def _add_chunk(self, record: Record) -> None:
         """Copy what a chunk holds."""
+        self._has_chunks = True
         chunk = read_chunk(record.body, record.length)
         content = unpack_chunk(chunk) if chunk is not None else None
         if content is None:
@@ -256,6 +271,8 @@ class _Copy:
             self._add_message(record)
         elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             definition = read_definition(record.opcode, record.body)
+            if isinstance(definition, Channel):
+                self._defined.add(definition.id)
             if definition is not None and (type(definition), definition.id) not in self._certain:
                 self._define(definition)
 

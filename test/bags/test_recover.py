@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import struct
 import subprocess
 import sys
@@ -181,6 +182,24 @@ def test_a_chunk_with_a_wrong_checksum_is_left_whole(run, files, tmp_path, varia
     assert 0 < len(all_messages) - len(saved) < 15
     assert [m for m in all_messages if m in set(saved)] == saved
     assert recovery.bytes_left == end - begin - 9
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_one_bit_makes_no_message_of_another_record(run, files, tmp_path, variant):
+    """An index of a chunk is as long as a message, and begins with a channel too."""
+    content, all_messages = files[variant], set(torn_bags.contents(run))
+    by_opcode: dict[int, list[int]] = {}
+    for opcode, begin, _ in torn_bags.boundaries(content):
+        by_opcode.setdefault(opcode, []).append(begin)
+    del by_opcode[Opcode.MESSAGE if variant == "plain" else Opcode.CHUNK]
+    for begin in (begin for begins in by_opcode.values() for begin in begins[:3]):
+        for bit in range(8):
+            data = bytearray(content)
+            data[begin] ^= 1 << bit
+            bag = torn_bags.copy_with(run, tmp_path / "bag", bytes(data))
+            recovery = recover(bag, tmp_path / "new")
+            assert set(torn_bags.contents(recovery.bag)) == all_messages
+            shutil.rmtree(recovery.bag)
 
 
 def test_definitions_come_from_the_end_if_damaged_at_the_beginning(run, files, tmp_path):
