@@ -10,18 +10,15 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Twist, TwistStamped
-from rclpy.duration import Duration
 from rclpy.node import Node
 
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.nodes.conversions import twist_message, twist_stamped
-from adp_path_follower.nodes.telemetry import EVERY_STEP, LOSSLESS
+from adp_path_follower.nodes.delivery import EVERY_STEP, LOSSLESS, repeat_until_delivered
 from adp_path_follower.nodes.watchdog import WATCH_PERIOD
 
 _STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop
 _LAST_WORDS = 3  # zero velocities before the node goes, at least
-_MOST_LAST_WORDS = 15  # and at most
-_DELIVERY_PERIOD = 0.02  # [s] between those that are not delivered yet
 _LONGEST_WAIT = 0.5  # [s] until a shorter timeout is known
 _ZERO = np.zeros(2)
 
@@ -81,16 +78,8 @@ class Commands:
             self._send_zero()
 
     def last_words(self) -> None:
-        """Publish zero velocity three times, and on, not for long, until it was delivered.
-
-        Waiting alone may not do: Fast DDS by itself asks only every 3 s what was lost.
-        """
-        for count in range(1, _MOST_LAST_WORDS + 1):
-            self._send_zero()
-            delivered = self._publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_PERIOD))
-            if delivered and count >= _LAST_WORDS:
-                break
-            steady.sleep(0.01 if delivered else 0.0)
+        """Publish zero velocity three times, and on, not for long, until it was delivered."""
+        repeat_until_delivered(self._publisher, self._send_zero, _LAST_WORDS)
 
     def destroy(self) -> None:
         """End the thread and destroy the publisher."""

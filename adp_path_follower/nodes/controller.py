@@ -79,11 +79,9 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Create publishers, subscriptions, services and timers."""
         controller = self._settings.controller
         lossless = controller.control_trigger == "odometry"
+        stamped = controller.enable_stamped_cmd_vel
         self._commands = Commands(
-            self,
-            controller.enable_stamped_cmd_vel,
-            lossless,
-            lambda: self._settings.controller.odom_timeout,
+            self, stamped, lossless, lambda: self._settings.controller.odom_timeout
         )
         labels = self._settings.learning.value_basis.labels
         self._telemetry = Telemetry(self, labels, lossless, lambda: self._settings.controller)
@@ -142,6 +140,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._commands.last_words()
             self._supervisor.active = False
             self._update_status()  # the last that ~/status and /diagnostics say
+            self._telemetry.deliver_status()
 
     def _destroy_entities(self) -> None:
         for destroy, entity in self._entities:

@@ -12,7 +12,7 @@ from geometry_msgs.msg import Point, PoseStamped, Vector3Stamped
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from std_msgs.msg import ColorRGBA, Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -28,13 +28,13 @@ from adp_path_follower.nodes.conversions import (
     pose_stamped,
     vector_message,
 )
-
-EVERY_STEP = QoSProfile(depth=10)
-# For steps that follow odometry, perhaps in lock-step at the machine's pace: a recorder that joins
-# a second late, or is kept waiting that long, still gets all.
-LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-ALL_CHANGES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+from adp_path_follower.nodes.delivery import (
+    ALL_CHANGES,
+    EVERY_STEP,
+    LATCHED,
+    LOSSLESS,
+    repeat_until_delivered,
+)
 
 _LISTENERS_PERIOD = 0.1  # [s], steady: how often it is asked who listens
 _MARKER_PERIOD = 0.1  # [s], steady: of the virtual target
@@ -264,3 +264,9 @@ class Telemetry:
         if own != self._last_status:
             self._last_status = own
             self._status.publish(own)
+
+    def deliver_status(self) -> None:
+        """Wait, not for long, until whoever listens to ~/status has got the last."""
+        last = self._last_status
+        if last is not None:
+            repeat_until_delivered(self._status, lambda: self._status.publish(last))

@@ -21,7 +21,7 @@ from adp_path_follower.core.weights_file import (
     read_weights,
     write_weights,
 )
-from adp_path_follower.nodes.telemetry import LATCHED
+from adp_path_follower.nodes.delivery import LATCHED
 
 
 class WeightsFiles:

@@ -1,0 +1,43 @@
+"""Qualities of service of the controller's topics, and messages that must arrive before an end."""
+
+from __future__ import annotations
+
+import time as steady
+from collections.abc import Callable
+
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+EVERY_STEP = QoSProfile(depth=10)
+# For steps that follow odometry, perhaps in lock-step at the machine's pace: a recorder that joins
+# a second late, or is kept waiting that long, still gets all.
+LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+ALL_CHANGES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+_PAUSE = 0.01  # [s] between messages that are published several times in any case
+_PATIENCE = 0.02  # [s] for one to be delivered, before it is published again
+_MOST = 15
+
+
+def repeat_until_delivered(
+    publisher: Publisher, publish: Callable[[], None], least: int = 0
+) -> None:
+    """Publish a message again, not for long, until all who listen have got it.
+
+    What a publisher has not delivered is lost when its node goes. Waiting alone may not do: Fast
+    DDS by itself asks only every 3 s what was lost.
+
+    Args:
+        publisher: Whose delivery counts.
+        publish: Publishes the message there.
+        least: How often to publish it in any case; 0 if it has been published.
+
+    """
+    for count in range(_MOST):
+        if count >= least and publisher.wait_for_all_acked(Duration(seconds=_PATIENCE)):
+            return
+        publish()
+        if count < least:
+            steady.sleep(_PAUSE)
