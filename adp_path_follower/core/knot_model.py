@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
-from scipy.stats import qmc
 
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.sobol import scrambled_sobol_points
 
 _INNER_SHARE = 0.3  # of the samples: scaled towards the origin, where the linear policy is decided
 _INNERMOST = 0.05  # of the region: the smallest of these scales
@@ -236,7 +236,7 @@ def scattered_samples(count: int, half_widths: tuple[float, ...], seed: int) -> 
 
     A scrambled Sobol sequence, of which a share is scaled towards the origin.
     """
-    points = qmc.Sobol(4, seed=seed).random(2 ** math.ceil(math.log2(count)))[:count]
+    points = scrambled_sobol_points(count, seed)
     inner = points[:, 3] / _INNER_SHARE
     scale = np.where(inner < 1.0, _INNERMOST**inner, 1.0)
     return np.asarray((2.0 * points[:, :3] - 1.0) * half_widths * scale[:, None])
