@@ -7,13 +7,18 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, make_interp_spline
 
 from adp_path_follower.core.errors import PathError
 from adp_path_follower.core.geometry import FloatArray, components, contiguous, unpacked
+
+if TYPE_CHECKING:
+    # Imported where paths are made: it takes as long as rclpy, and the controller's start does not
+    # wait for it, as another process makes its paths.
+    from scipy.interpolate import CubicSpline
 
 MAX_POINTS = 1_000_000
 _COINCIDENCE = 1e-6  # [m]: points nearer than this to the one before count once
@@ -152,6 +157,8 @@ class Path:
         piece: float,
     ) -> Path:
         """Return the path after finding the parameter at uniform steps of arc length."""
+        from scipy.interpolate import make_interp_spline
+
         arc = _ArcLength(velocity, breaks)
         pieces = min(max(_LEAST_PIECES, math.ceil(arc.length / piece)), _MOST_PIECES)
         knots = np.linspace(0.0, arc.length, pieces + 1)
@@ -323,6 +330,8 @@ def chord_spline(points: FloatArray, closed: bool) -> tuple[CubicSpline, FloatAr
 
     The points of a closed path end with the first one.
     """
+    from scipy.interpolate import CubicSpline
+
     chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
     parameter = np.concatenate([[0.0], np.cumsum(chords)])
     ends_condition = "periodic" if closed else "not-a-knot" if len(points) > 3 else "natural"

@@ -28,10 +28,10 @@ from adp_path_follower.core.supervisor import State, Status, Supervisor, deviati
 from adp_path_follower.nodes.commands import Commands
 from adp_path_follower.nodes.conversions import Measurement, MessageError, measurement_of
 from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
-from adp_path_follower.nodes.path_fitting import Fit, FittingProcess, route_of_message
+from adp_path_follower.nodes.path_fitting import Fit, route_of_message
 from adp_path_follower.nodes.path_input import PathInput
 from adp_path_follower.nodes.path_intake import PathAnswer
-from adp_path_follower.nodes.run import Ending, run_node
+from adp_path_follower.nodes.run import Ending
 from adp_path_follower.nodes.telemetry import Telemetry
 from adp_path_follower.nodes.watchdog import WATCH_PERIOD, Watchdog
 from adp_path_follower.nodes.weights import WeightsFiles
@@ -391,9 +391,3 @@ class PathFollowerNode(Ending, LifecycleNode):
                 *(self._weights.digest, () if path is None else path.transform),
             )
         )
-
-
-def main() -> int:
-    """Run the node; return its exit code."""
-    with FittingProcess() as fitting:
-        return run_node(NODE_NAME, lambda: PathFollowerNode(fitting.route))

@@ -36,7 +36,7 @@ def _main(module: str) -> None:
 
 def controller() -> None:
     """Run the path follower node."""
-    _main("adp_path_follower.nodes.controller")
+    _main("adp_path_follower.nodes.controller_process")
 
 
 def path_publisher() -> None:

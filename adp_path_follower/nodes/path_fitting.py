@@ -2,30 +2,32 @@
 
 Python's threads share one interpreter: a path of a hundred thousand poses, fitted in a thread,
 makes control steps wait for tens of milliseconds (`bench/paths.py`). A process does not. It is a
-fork of the node before that has any thread, so it costs no start-up time and little memory.
+fork of the node before that has any thread or any of its own imports, and imports what paths are
+fitted with (scipy's splines) while the node starts beside it: the node does without.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import multiprocessing
 import os
 import pickle
 import signal
 import socket
+import sys
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
 import numpy as np
-from rclpy.logging import get_logger
 
 from adp_path_follower.bags.cdr import CdrError
 from adp_path_follower.bags.raw_messages import read_path, transformed
 from adp_path_follower.core.errors import AdpError, PathError
-from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.nodes.stop_request import ending_signals
 
 _NICE = 5  # control comes first, where there are fewer cores than processes
 
@@ -49,6 +51,8 @@ def route_of_message(raw: bytes, transform: tuple[float, ...], settings: PathSet
         CdrError: The bytes are no path.
 
     """
+    from adp_path_follower.core.path_preparation import prepare
+
     poses = transformed(read_path(raw).poses, transform)
     route = prepare(poses[:, :2], settings, poses[:, 2])
     route.make_ready()
@@ -71,6 +75,7 @@ class FittingProcess:
         """Start the process; where the machine has none to give, do without."""
         ours, theirs = socket.socketpair()
         self._connection: socket.socket | None = ours
+        self._over = False
         fork = multiprocessing.get_context("fork")
         self._process = fork.Process(target=_serve, args=(theirs, ours), daemon=True)
         try:
@@ -95,19 +100,27 @@ class FittingProcess:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """End it, whatever it is at."""
+        """End it, whatever it is at, and the thread that waits for its answer."""
+        self._over = True
         if self._process.pid is not None:
             self._process.kill()
             self._process.join()
 
     def route(self, raw: bytes, transform: tuple[float, ...], settings: PathSettings) -> Route:
-        """Return the route of a path; see `route_of_message`."""
+        """Return the route of a path; see `route_of_message`.
+
+        Raises:
+            SystemExit: The process was told to end meanwhile.
+
+        """
         found: Route | str | None = None
         if self._connection is not None:
             try:
                 _send(self._connection, (raw, transform, settings))
                 found = _receive(self._connection)
             except (EOFError, OSError):
+                if self._over:
+                    sys.exit()  # ends this thread
                 self._do_without("has ended")
         if found is None:
             return route_of_message(raw, transform, settings)
@@ -116,6 +129,8 @@ class FittingProcess:
         return found
 
     def _do_without(self, why: str) -> None:
+        from rclpy.logging import get_logger  # here, so that a fork needs no more than numpy
+
         self._connection = None
         get_logger("path_fitting").warning(
             f"the process that prepares paths {why}: control steps may come late while the node "
@@ -126,7 +141,9 @@ class FittingProcess:
 def _serve(connection: socket.socket, others: socket.socket) -> None:
     """Answer until the node is gone."""
     others.close()  # else this process would never see that the node is gone
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the node
+    for number in ending_signals():  # Ctrl-C is for the node, which ends this process
+        signal.signal(number, signal.SIG_IGN)
+    importlib.import_module("adp_path_follower.core.path_preparation")  # before the first path
     os.nice(_NICE)
     with contextlib.suppress(EOFError, OSError):
         while True:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 from nav_msgs.msg import Path as PathMessage
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
 from adp_path_follower.bags.raw_messages import is_empty
@@ -51,7 +53,7 @@ class PathInput:
         self._odom_frame = ""
         self._refused: PathRequest | None = None  # in the frame that the odometry had then
         self._fitted = node.create_guard_condition(self._take)
-        self._intake = PathIntake(frame_transform(node), self._fitted.trigger, fit)
+        self._intake = PathIntake(frame_transform(node), self._wake, fit)
         self._subscription: Any = node.create_subscription(
             PathMessage, "path", self._receive, LATCHED, raw=True
         )
@@ -77,6 +79,11 @@ class PathInput:
     def retry(self) -> None:
         """Ask again, now and then, for a path whose transform was not known."""
         self._intake.retry()
+
+    def _wake(self) -> None:
+        """Let the node take what the other thread has prepared, if it is still there."""
+        with contextlib.suppress(InvalidHandle):
+            self._fitted.trigger()
 
     def _change(self, found: PathAnswer | None) -> None:
         self.followed = found

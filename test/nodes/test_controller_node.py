@@ -279,7 +279,7 @@ def test_descriptors_come_from_the_settings():
 BROKEN_CONTROLLER = """
 import sys
 from adp_path_follower.core.follower import PathFollower
-from adp_path_follower.nodes import controller
+from adp_path_follower.nodes import controller_process
 
 step_at, steps = PathFollower.step_at, []
 
@@ -290,7 +290,7 @@ def failing(self, pose, time, learn=True):
     return step_at(self, pose, time, learn)
 
 PathFollower.step_at = failing
-sys.exit(controller.main())
+sys.exit(controller_process.main())
 """
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import threading
 import time
 from pathlib import Path
 
@@ -63,6 +66,73 @@ def test_a_machine_with_no_process_left_prepares_paths_all_the_same(monkeypatch)
     monkeypatch.setattr(os, "fork", fork)
     with FittingProcess() as fitting:
         assert fitting.route(EIGHT, (), PathSettings()).closed
+
+
+def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd):
+    """It says nothing: nobody needs a path any more."""
+    ended = []
+
+    def ask() -> None:
+        with pytest.raises(SystemExit):
+            fitting.route(EIGHT, (), PathSettings())
+        ended.append(True)
+
+    with FittingProcess() as fitting:
+        os.kill(fitting.pid, signal.SIGSTOP)  # so that it does not answer before it is told
+        asking = threading.Thread(target=ask)
+        asking.start()
+        time.sleep(0.1)
+    asking.join()
+    assert ended
+    assert capfd.readouterr().err == ""
+
+
+ENDING_BEFORE_ITS_PATH = """
+import sys, threading, time
+from adp_path_follower.nodes import controller_process, path_fitting
+from adp_path_follower.nodes.controller import PathFollowerNode
+
+gone = threading.Event()
+route, destroy = path_fitting.FittingProcess.route, PathFollowerNode.destroy_node
+
+
+def late(self, *request):
+    print("asked for a route", flush=True)
+    gone.wait()
+    found = route(self, *request)
+    print("got the route", flush=True)
+    return found
+
+
+def destroy_first(self):
+    destroy(self)
+    gone.set()
+    time.sleep(2.0)
+
+
+path_fitting.FittingProcess.route, PathFollowerNode.destroy_node = late, destroy_first
+sys.exit(controller_process.main())
+"""
+
+
+@pytest.mark.nodes
+def test_a_path_that_is_ready_when_the_node_is_gone_is_no_error(peer, domain, tmp_path):
+    log = tmp_path / "controller.log"
+    with (
+        log.open("wb") as output,
+        subprocess.Popen(
+            [sys.executable, "-c", ENDING_BEFORE_ITS_PATH],
+            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        ) as process,
+    ):
+        peer.send_path()
+        peer.until(lambda: "asked for a route" in log.read_text(), "a path on its way")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30.0) == 0
+    assert "got the route" in log.read_text()
+    assert "Traceback" not in log.read_text()
 
 
 def children(pid: int) -> list[int]:

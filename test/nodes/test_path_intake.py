@@ -193,7 +193,7 @@ def test_a_transform_that_comes_late_is_asked_for_again():
 
 WITH_FRAMES = """
 import sys
-from adp_path_follower.nodes import controller, path_input
+from adp_path_follower.nodes import controller_process, path_input
 
 
 class Known:
@@ -202,7 +202,7 @@ class Known:
 
 
 path_input.frame_transform = lambda node: Known()
-sys.exit(controller.main())
+sys.exit(controller_process.main())
 """
 
 

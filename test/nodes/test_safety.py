@@ -143,7 +143,7 @@ def test_a_clock_that_does_not_start_stands_still_or_jumps_back(peer, start):
 HANGING_CONTROLLER = """
 import sys, time
 from adp_path_follower.core.follower import PathFollower
-from adp_path_follower.nodes import controller
+from adp_path_follower.nodes import controller_process
 
 step_at, steps = PathFollower.step_at, []
 
@@ -154,7 +154,7 @@ def hanging(self, pose, stamp, learn=True):
     return step_at(self, pose, stamp, learn)
 
 PathFollower.step_at = hanging
-sys.exit(controller.main())
+sys.exit(controller_process.main())
 """
 
 
