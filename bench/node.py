@@ -281,7 +281,7 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        rows = [*turns(folder, given.rounds, given.seconds), *starts(folder, given.rounds)]
+        rows = [*turns(folder, given.rounds, given.seconds), *starts(folder, 3 * given.rounds)]
         if given.memory > 0.0:
             rows += memory(folder, given.memory)
     report(rows, given.json)

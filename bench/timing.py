@@ -99,7 +99,9 @@ def report(rows: list[Row], file: Path | None) -> None:
         return
     found = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     found["machine"] = machine()
-    found.setdefault("rows", {}).update({row.what: dataclasses.asdict(row) for row in rows})
+    kept = found.setdefault("rows", {})
+    for row in rows:  # one may be measured against two peers
+        kept[f"{row.what}; {row.against}"] = dataclasses.asdict(row)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
