@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from commands import adp
 
 from adp_path_follower.cli import main
+from adp_path_follower.nodes import entry
 
 OPTIMUM = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
 PAPER = str(Path(__file__).parents[1] / "config" / "paper.yaml")
@@ -232,3 +233,19 @@ def test_unfinished_costs_are_null_in_json(tmp_path):
         "a": [None, 1.0],
         "b": [None, {"c": None}],
     }
+
+
+@pytest.mark.parametrize("node", ["controller", "sim_unicycle", "path_publisher", "recorder"])
+def test_a_node_without_ros_says_what_is_missing(node):
+    without = (
+        f"import sys; sys.modules['rclpy'] = None; from {entry.__name__} import {node}; {node}()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", without], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert re.fullmatch(
+        r"Python module 'rclpy[.a-z]*' is missing: source a ROS 2 Jazzy installation, or .*\n",
+        done.stderr,
+    )

@@ -25,13 +25,13 @@ def _main(module: str) -> None:
         signal.signal(number, _leave)
     use_one_blas_thread()
     try:
-        node_module = importlib.import_module(module)
+        code = importlib.import_module(module).main()
     except ModuleNotFoundError as error:
         sys.exit(
             f"Python module '{error.name}' is missing: source a ROS 2 Jazzy installation, or "
             "install its wheels with: pip install 'adp_path_follower[jazzy]'"
         )
-    sys.exit(node_module.main())
+    sys.exit(code)
 
 
 def controller() -> None:
