@@ -17,7 +17,8 @@ from adp_path_follower.nodes.conversions import twist_message, twist_stamped
 from adp_path_follower.nodes.delivery import EVERY_STEP, LOSSLESS, repeat_until_delivered
 from adp_path_follower.nodes.watchdog import WATCH_PERIOD
 
-_STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop
+_STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop, at least ...
+_STOP_COUNT = 10  # ... so often: DDS may keep us waiting longer for a listener that stalls
 _LAST_WORDS = 3  # zero velocities before the node goes, at least
 _LONGEST_WAIT = 0.5  # [s] until a shorter timeout is known
 _ZERO = np.zeros(2)
@@ -45,7 +46,7 @@ class Commands:
             kind, "cmd_vel", LOSSLESS if lossless else EVERY_STEP
         )
         self._heard = False  # whether anybody has listened to commands since the activation
-        self._stop_until = 0.0
+        self._stop_until, self._stops_left = 0.0, 0
         self._busy_since: float | None = None
         self._closed = threading.Event()
         self._watch = threading.Thread(target=self._stop_when_hanging, daemon=True)
@@ -60,7 +61,7 @@ class Commands:
 
     def stop(self) -> None:
         """Publish zero velocity, now and for a while."""
-        self._stop_until = steady.monotonic() + _STOP_DURATION
+        self._begin_stop()
         self._send_zero()
 
     def activated(self) -> None:
@@ -73,8 +74,9 @@ class Commands:
         if not self._heard and self._publisher.get_subscription_count():
             # What was said before the robot listened is lost, so the first stop starts now.
             self._heard = True
-            self._stop_until = steady.monotonic() + _STOP_DURATION
-        if steady.monotonic() < self._stop_until:
+            self._begin_stop()
+        if steady.monotonic() < self._stop_until or self._stops_left > 0:
+            self._stops_left -= 1
             self._send_zero()
 
     def last_words(self) -> None:
@@ -105,6 +107,9 @@ class Commands:
             left = self._timeout() - (0.0 if since is None else now - since)
             if -_STOP_DURATION < left <= 0.0:
                 self._send_zero()
+
+    def _begin_stop(self) -> None:
+        self._stop_until, self._stops_left = steady.monotonic() + _STOP_DURATION, _STOP_COUNT
 
     def _send_zero(self) -> None:
         self.send(_ZERO, int(self._node.get_clock().now().nanoseconds))

@@ -70,6 +70,17 @@ class Peer:
             "subscribers",
         )
 
+    def until_diagnosed(self, text: str, level: bytes = b"\x02") -> None:
+        """Wait for a message of a level, ERROR by default, among /diagnostics listened to."""
+        self.until(
+            lambda: any(
+                text in status.message and status.level == level
+                for array in self.received["/diagnostics"]
+                for status in array.status
+            ),
+            f"diagnostics with '{text}'",
+        )
+
     def call(self, kind: type, name: str, request: Any = None) -> Any:
         """Return the answer of a service."""
         if name not in self._clients:
@@ -193,14 +204,7 @@ class Drive:
 
     def until_diagnosed(self, text: str, level: bytes = b"\x02") -> None:
         """Wait for a diagnostic message of a level, ERROR by default, that contains a text."""
-        self.peer.until(
-            lambda: any(
-                text in status.message and status.level == level
-                for array in self.diagnostics
-                for status in array.status
-            ),
-            f"diagnostics with '{text}'",
-        )
+        self.peer.until_diagnosed(text, level)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import time
 
 import pytest
 from conftest import Drive, Peer, is_zero
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
@@ -40,6 +41,7 @@ class Team:
     def __init__(self, peer: Peer, start) -> None:
         self.peer = peer
         self.commands = peer.listen(TwistStamped, "cmd_vel")
+        peer.listen(DiagnosticArray, "/diagnostics")
         # Best effort: a reliable reader may wait for seconds for what a killed process lost.
         self.truth = peer.listen(Odometry, "ground_truth", qos_profile_sensor_data)
         self.controller = start("controller")
@@ -112,7 +114,7 @@ def test_the_robot_drives_on_and_can_be_stopped_when_those_who_listen_stall_or_d
 def test_the_robot_stops_when_odometry_stalls_or_dies(team):
     os.kill(team.simulator.process.pid, signal.SIGSTOP)
     team.until_told_to_stop()
-    assert "fault: no odometry for more than 0.5 s" in team.controller.output()
+    team.peer.until_diagnosed("fault: no odometry for more than 0.5 s")
     os.kill(team.simulator.process.pid, signal.SIGCONT)
     team.until_moving()
     os.kill(team.simulator.process.pid, signal.SIGKILL)

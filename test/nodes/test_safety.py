@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 
 import pytest
+import rclpy
 from conftest import Drive, Peer, is_zero
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
@@ -17,6 +19,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
+
+from adp_path_follower.nodes.commands import Commands
 
 pytestmark = pytest.mark.nodes
 
@@ -182,6 +186,26 @@ def test_a_learner_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_pa
             peer.until(lambda: commands and not is_zero(commands[-1]), "motion again")
         finally:
             process.kill()
+
+
+def test_a_stop_is_said_ten_times_however_long_that_was_kept_waiting(peer):
+    heard = peer.listen(TwistStamped, "cmd_vel")
+    node = rclpy.create_node("path_follower", context=peer.context)
+    commands = Commands(node, stamped=True, lossless=False, timeout=lambda: 60.0)
+    peer.until(lambda: node.count_subscribers("cmd_vel"), "the listener")
+    peer.until(lambda: commands.repeat_stop() or heard, "the first words to it")
+    peer.spin(0.7)
+    heard.clear()
+    commands.stop()
+    time.sleep(0.7)  # longer than a stop is repeated
+    for _ in range(30):
+        commands.repeat_stop()
+    peer.until(lambda: len(heard) >= 11, "ten repetitions")
+    peer.spin(0.3)
+    assert len(heard) == 11
+    assert all(map(is_zero, heard))
+    commands.destroy()
+    node.destroy_node()
 
 
 def test_status_is_known_at_once_to_those_who_come_late(drive):
