@@ -12,7 +12,6 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
@@ -20,6 +19,7 @@ from std_srvs.srv import Trigger
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.nodes.conversions import NANOSECONDS, odometry_message, stamp_nanoseconds
+from adp_path_follower.nodes.delivery import EVERY_STEP, LOSSLESS
 from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
 from adp_path_follower.nodes.run import Ending, run_node
 from sim_unicycle.fault_script import read_fault_script
@@ -35,10 +35,6 @@ _RESEND_PERIOD = 0.1  # [s], steady: how long lock-step waits before it repeats 
 _REMINDER = 5.0  # [s], steady: how long it waits before it tells the user
 _SILENT_STEPS = 100  # without odometry, that lock-step takes at once
 _ZERO = np.zeros(2)
-_EVERY_STEP = QoSProfile(depth=10)
-# In lock-step at the machine's pace, a recorder that joins a second late, or is kept waiting that
-# long, still gets all.
-_LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class SimulatorNode(Ending, Node):
@@ -77,7 +73,7 @@ class SimulatorNode(Ending, Node):
         self._answered = False  # whether lock-step has had its first answer
         self._sent_at = self._reminded_at = steady.monotonic()
 
-        qos = _LOSSLESS if simulation.lockstep else _EVERY_STEP
+        qos = LOSSLESS if simulation.lockstep else EVERY_STEP
         self._odometry = self.create_publisher(Odometry, "odom", qos)
         self._ground_truth = self.create_publisher(Odometry, "ground_truth", qos)
         self._clock_publisher = None
@@ -127,7 +123,7 @@ class SimulatorNode(Ending, Node):
     def _subscribe_commands(self) -> Subscription:
         stamped = self._command_type is TwistStamped
         receive = self._receive_stamped if stamped else self._receive_twist
-        return self.create_subscription(self._command_type, "cmd_vel", receive, _EVERY_STEP)
+        return self.create_subscription(self._command_type, "cmd_vel", receive, EVERY_STEP)
 
     def _match_command_type(self) -> None:
         """Subscribe with the type that is published; one DDS participant cannot use both."""

@@ -1,4 +1,4 @@
-"""Qualities of service of the controller's topics, and messages that must arrive before an end."""
+"""Qualities of service of the nodes' topics, and messages that must arrive before an end."""
 
 from __future__ import annotations
 

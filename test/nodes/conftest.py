@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -26,7 +29,7 @@ from adp_path_follower.nodes.conversions import odometry_message, poses_message
 from adp_path_follower.nodes.processes import NodeProcess, own_domain
 
 TIMEOUT = 30.0  # [s] for anything that must happen; a loaded machine is slow, not wrong
-_ANSWER_TIMEOUT = 8.0  # [s] after which a service is called again
+_FIRST_ANSWER_TIMEOUT = 8.0  # [s] after which a service is called again
 FRAMES = ("odom", "base_link")
 
 
@@ -84,20 +87,23 @@ class Peer:
 
     def call(self, kind: type, name: str, request: Any = None) -> Any:
         """Return the answer of a service."""
-        if name not in self._clients:
+        is_new = name not in self._clients
+        if is_new:
             self._clients[name] = self.node.create_client(kind, name)
         client = self._clients[name]
         self.until(client.service_is_ready, f"service {name}")
-        for _ in range(4):
-            future = client.call_async(request or kind.Request())
-            end = time.monotonic() + _ANSWER_TIMEOUT
+        future = client.call_async(request or kind.Request())
+        if is_new:
+            # The node may know our requests before it knows where we read: then rmw drops the
+            # answer ("client will not receive response").
+            end = time.monotonic() + _FIRST_ANSWER_TIMEOUT
             while not future.done() and time.monotonic() < end:
                 self._executor.spin_once(timeout_sec=0.02)
-            if future.done():
-                return future.result()
-            # The first answer is lost if the node knows our requests before it knows where we read.
-            client.remove_pending_request(future)
-        raise AssertionError(f"no answer of {name}")
+            if not future.done():
+                client.remove_pending_request(future)
+                future = client.call_async(request or kind.Request())
+        self.until(future.done, f"answer of {name}")
+        return future.result()
 
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
         """Return the result of setting one parameter of another node."""
@@ -168,6 +174,24 @@ def start(domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
     for node in running:
         node.stop()
         assert "Traceback" not in node.output(), node.output()
+
+
+@contextlib.contextmanager
+def running_script(text: str, domain: int, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a Python script as a process on a domain; kill it unless it has ended by then."""
+    with (
+        log.open("wb") as output,
+        subprocess.Popen(
+            [sys.executable, "-c", text],
+            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        ) as process,
+    ):
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def is_zero(command: TwistStamped) -> bool:

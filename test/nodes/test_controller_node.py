@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from conftest import Drive, Peer, is_zero
+from conftest import Drive, Peer, is_zero, running_script
 from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -296,23 +293,14 @@ sys.exit(controller_process.main())
 
 def test_an_exception_in_a_callback_stops_the_robot_first(peer, domain, tmp_path):
     commands = peer.listen(TwistStamped, "cmd_vel")
-    log = (tmp_path / "broken.log").open("w+")
-    with subprocess.Popen(
-        [sys.executable, "-c", BROKEN_CONTROLLER],
-        env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-        stdout=log,
-        stderr=subprocess.STDOUT,
-    ) as process:
-        try:
-            peer.until_matched(peer.odometry, peer.path)
-            peer.send_path()
-            peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
-            peer.until(lambda: process.poll() is not None, "the end of the node")
-        finally:
-            process.kill()
+    log = tmp_path / "broken.log"
+    with running_script(BROKEN_CONTROLLER, domain, log) as process:
+        peer.until_matched(peer.odometry, peer.path)
+        peer.send_path()
+        peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+        peer.until(lambda: process.poll() is not None, "the end of the node")
     peer.spin(0.5)
-    log.seek(0)
-    text = log.read()
+    text = log.read_text()
     assert process.returncode == 1
     assert "unexpected error, stopping: RuntimeError: a defect" in text
     assert "Traceback" not in text

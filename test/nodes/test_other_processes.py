@@ -10,7 +10,7 @@ import sys
 import time
 
 import pytest
-from conftest import Drive, Peer, is_zero
+from conftest import Drive, Peer, is_zero, running_script
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
@@ -83,32 +83,21 @@ def test_the_robot_drives_on_and_can_be_stopped_when_those_who_listen_stall_or_d
 ):
     recorder = start("recorder", output=str(tmp_path / "bag"))
     log = tmp_path / "listener.log"
-    with (
-        log.open("wb") as output,
-        subprocess.Popen(
-            [sys.executable, "-c", LISTENER],
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-            stdout=output,
-            stderr=subprocess.STDOUT,
-        ) as listener,
-    ):
-        try:
-            recorder.wait_for_output("recording /path_follower/measured_pose", 30.0)
-            team.peer.until(lambda: "heard" in log.read_text(), "the listener")
-            others = (team.publisher.process.pid, recorder.process.pid, listener.pid)
-            for number in (signal.SIGSTOP, signal.SIGKILL):
-                for pid in others:
-                    os.kill(pid, number)
-                    team.until_moving()
-                # Every buffer of those who do not take their messages is full by now, or gone.
-                team.peer.spin(1.0)
-                assert team.peer.call(Trigger, "path_follower/stop").success
-                team.until_told_to_stop()
-                team.until_at_rest()
-                assert team.peer.call(Trigger, "path_follower/resume").success
+    with running_script(LISTENER, domain, log) as listener:
+        recorder.wait_for_output("recording /path_follower/measured_pose", 30.0)
+        team.peer.until(lambda: "heard" in log.read_text(), "the listener")
+        others = (team.publisher.process.pid, recorder.process.pid, listener.pid)
+        for number in (signal.SIGSTOP, signal.SIGKILL):
+            for pid in others:
+                os.kill(pid, number)
                 team.until_moving()
-        finally:
-            listener.kill()
+            # Every buffer of those who do not take their messages is full by now, or gone.
+            team.peer.spin(1.0)
+            assert team.peer.call(Trigger, "path_follower/stop").success
+            team.until_told_to_stop()
+            team.until_at_rest()
+            assert team.peer.call(Trigger, "path_follower/resume").success
+            team.until_moving()
 
 
 def test_the_robot_stops_when_odometry_stalls_or_dies(team):

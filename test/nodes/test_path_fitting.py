@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import is_zero
+from conftest import is_zero, running_script
 from rclpy.serialization import serialize_message
 
 from adp_path_follower.core.errors import PathError
@@ -118,15 +116,7 @@ sys.exit(controller_process.main())
 @pytest.mark.nodes
 def test_a_path_that_is_ready_when_the_node_is_gone_is_no_error(peer, domain, tmp_path):
     log = tmp_path / "controller.log"
-    with (
-        log.open("wb") as output,
-        subprocess.Popen(
-            [sys.executable, "-c", ENDING_BEFORE_ITS_PATH],
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-            stdout=output,
-            stderr=subprocess.STDOUT,
-        ) as process,
-    ):
+    with running_script(ENDING_BEFORE_ITS_PATH, domain, log) as process:
         peer.send_path()
         peer.until(lambda: "asked for a route" in log.read_text(), "a path on its way")
         process.send_signal(signal.SIGINT)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
 import sys
 import threading
 import time
@@ -12,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import is_zero
+from conftest import is_zero, running_script
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -231,21 +229,15 @@ def until_recorded(peer) -> None:
 def test_a_path_of_another_frame_is_followed_and_replayed(peer, start, domain, tmp_path):
     commands = peer.listen(TwistStamped, "cmd_vel")
     recorder = start("recorder", output=str(tmp_path / "bag"))
-    log = (tmp_path / "controller.log").open("w+")
-    with subprocess.Popen(
-        [sys.executable, "-c", WITH_FRAMES],
-        env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-        stdout=log,
-        stderr=subprocess.STDOUT,
-    ) as process:
-        try:
-            start("sim_unicycle")
-            peer.until_matched(peer.path)
-            until_recorded(peer)
-            peer.path.publish(message_of(LINE, "map"))
-            peer.until(lambda: sum(not is_zero(item) for item in commands) > 100, "commands")
-        finally:
-            process.terminate()
+    log = tmp_path / "controller.log"
+    with running_script(WITH_FRAMES, domain, log) as process:
+        start("sim_unicycle")
+        peer.until_matched(peer.path)
+        until_recorded(peer)
+        peer.path.publish(message_of(LINE, "map"))
+        peer.until(lambda: sum(not is_zero(item) for item in commands) > 100, "commands")
+        process.terminate()
+        process.wait(30.0)
     recorder.stop()
     _, found = replayed(tmp_path / "bag")
     assert found.transform == (0.2, -0.1, 0.3)

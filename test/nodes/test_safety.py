@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
 
 import pytest
 import rclpy
-from conftest import Drive, Peer, is_zero
+from conftest import Drive, Peer, is_zero, running_script
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.msg import Transition
@@ -165,27 +162,16 @@ sys.exit(controller_process.main())
 def test_a_learner_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_path):
     commands = peer.listen(TwistStamped, "cmd_vel")
     log = tmp_path / "hanging.log"
-    with (
-        log.open("wb") as output,
-        subprocess.Popen(
-            [sys.executable, "-c", HANGING_CONTROLLER],
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-            stdout=output,
-            stderr=subprocess.STDOUT,
-        ) as process,
-    ):
-        try:
-            peer.until_matched(peer.odometry, peer.path)
-            peer.send_path()
-            peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
-            peer.until(lambda: commands and not is_zero(commands[-1]), "motion")
-            peer.until(lambda: is_zero(commands[-1]), "zero velocity while it hangs")
-            assert "fault: no" not in log.read_text()  # it hangs still, and cannot say so
-            peer.until(lambda: "fault: no" in log.read_text(), "its end")
-            commands.clear()
-            peer.until(lambda: commands and not is_zero(commands[-1]), "motion again")
-        finally:
-            process.kill()
+    with running_script(HANGING_CONTROLLER, domain, log):
+        peer.until_matched(peer.odometry, peer.path)
+        peer.send_path()
+        peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+        peer.until(lambda: commands and not is_zero(commands[-1]), "motion")
+        peer.until(lambda: is_zero(commands[-1]), "zero velocity while it hangs")
+        assert "fault: no" not in log.read_text()  # it hangs still, and cannot say so
+        peer.until(lambda: "fault: no" in log.read_text(), "its end")
+        commands.clear()
+        peer.until(lambda: commands and not is_zero(commands[-1]), "motion again")
 
 
 def test_a_stop_is_said_ten_times_however_long_that_was_kept_waiting(peer):
