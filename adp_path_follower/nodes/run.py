@@ -8,12 +8,13 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from adp_path_follower.core.errors import AdpError, SettingsError
+from adp_path_follower.nodes.executor import DirectExecutor
 from adp_path_follower.nodes.stop_request import StopRequest
 
 
@@ -86,8 +87,7 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
 
 def _spin(node: Any, stop: StopRequest) -> None:
     """Let the node work until it is asked to stop or is finished, and for as long as it lingers."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    executor = DirectExecutor(node)
     while not stop.received and not node.finished and rclpy.ok():
         executor.spin_once(timeout_sec=0.1)
     end = steady.monotonic()
