@@ -8,9 +8,9 @@ in which a place of the path is told what comes by the place ahead of it. So the
 backwards, knot by knot, from the Riccati solution at the end of its preview to the robot, and
 begins again: at each knot the critic takes the weights with the least Bellman errors for the
 actor's policy, and the actor follows. One control step works off a fixed number of samples, so
-its time is bounded however many samples and knots there are. Until the first sweep over the whole
-preview, the samples of one step must do for a knot: rough weights at once are better than good
-ones late.
+its time is bounded however many samples and knots there are. When all ahead is learned, the learner
+rests until the robot has come a few knots on. Until the first sweep over the whole preview, the
+samples of one step must do for a knot: rough weights at once are better than good ones late.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile
 
+_RESTS = 3  # while a robot comes to the end of what was ahead of it
+
 MODEL_SETTINGS = (  # that decide what is learned
     "basis",
     "basis_degree",
@@ -49,6 +51,15 @@ MODEL_SETTINGS = (  # that decide what is learned
     "sample_seed",
     "initial_weights",
 )
+
+
+def rest(settings: Settings, window: int) -> int:
+    """Return after how many knots a learner that has learned all of its window learns anew.
+
+    What a sweep of least squares finds depends only on where it begins and ends: at the same knot
+    it would find the same. A gradient goes on from what it has found, and never rests.
+    """
+    return window // _RESTS if settings.learning.critic == "least_squares" else 0
 
 
 class ArcLengthLearner:
@@ -77,6 +88,7 @@ class ArcLengthLearner:
         self._bound = actor_bound(learning, riccati)
         self._memory = memory or KnotMemory(settings, path, riccati, self._profile)
         self._spacing, self._window = self._memory.spacing, self._memory.window
+        self._rest = rest(settings, self._window)
         self._model = KnotModel(settings, self._spacing, self._profile.varies)
         self._teacher = KnotTeacher(learning, len(self._model), self._memory)
         self.reset()
@@ -98,6 +110,7 @@ class ArcLengthLearner:
         self._near = 0
         self._length = 0
         self._refused = 0
+        self._learned_from: int | None = None  # where all ahead of a knot was learned from
 
     @property
     def sampled(self) -> KnotFit:
@@ -119,12 +132,19 @@ class ArcLengthLearner:
         """
         near, robots = self._span(arc_length)
         at_once = self._learning.samples_per_step
-        if self._knot is None:
+        if self._knot is None and not self._rests(near):
             self._enough = self._enough_samples(at_once)
             self._begin(near, robots + self._reach)
+            whole = self._reach == self._window and self._enough == len(self._model)
+            self._learned_from = near if whole else None
             self._reach = min(2 * self._reach + 1, self._window)
-        self._work(at_once, dt)
+        if self._knot is not None:
+            self._work(at_once, dt)
         self._follow(near, robots + self._window, dt)
+
+    def _rests(self, near: int) -> bool:
+        """Return whether enough is learned ahead of the knot behind the last robot."""
+        return self._learned_from is not None and 0 <= near - self._learned_from < self._rest
 
     def _enough_samples(self, at_once: int) -> int:
         """Return how many samples make up a knot in the next sweep."""
@@ -159,7 +179,7 @@ class ArcLengthLearner:
         comes_round = self._memory.lap is not None
         far = min(far, near + len(self._memory.critic) + (self._window if comes_round else 0))
         slots = self._memory.slots(np.arange(near, far))
-        self._enough = len(self._model)
+        self._enough, self._learned_from = len(self._model), None
         self._begin(near, far)
         while self._knot is not None:
             self._work(len(self._model), math.inf)
@@ -229,7 +249,9 @@ class ArcLengthLearner:
         if self._knot > self._near:
             self._take(self._knot - 1)
             return
-        if not self._refused:
+        if self._refused:
+            self._learned_from = None
+        else:
             self.problem = ""
         self._knot = None
 

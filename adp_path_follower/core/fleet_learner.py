@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adp_path_follower.core.arc_length_learner import ArcLengthLearner
+from adp_path_follower.core.arc_length_learner import ArcLengthLearner, rest
 from adp_path_follower.core.bellman import BellmanErrors
 from adp_path_follower.core.fleet_memory import FleetMemory
 from adp_path_follower.core.geometry import FloatArray
@@ -96,6 +96,7 @@ class FleetLearner:
         self._bound = actor_bound(settings.learning, riccati)
         self._memory = FleetMemory(settings, path, riccati, profile, self._count)
         self._window = self._memory.window
+        self._rest = rest(settings, self._window)
         self._model = KnotModel(settings, self._memory.spacing, profile.varies)
         self._teacher = KnotTeacher(settings.learning, len(self._model), self._memory)
         self._shares = settings.learning.critic == "least_squares"
@@ -110,10 +111,12 @@ class FleetLearner:
         self._memory.reset()
         self._reach = np.zeros(count, np.int64)  # as of the learner of a single robot
         self._sweep = np.full(count, -1)  # which one each robot is at; -1: at none
-        self._far, self._index = np.zeros((2, count), np.int64)  # its end; knots that are done
+        # Its ends; knots that are done.
+        self._near, self._far, self._index = np.zeros((3, count), np.int64)
         self._length, self._samples, self._done = np.zeros((3, count), np.int64)
         self._time = np.zeros(count)  # [s] since the turn to the present knot
         self._refused = np.zeros(count, bool)  # something in the present sweep
+        self._complete = np.zeros(count, bool)  # the last one, and nothing of it refused
         self._problems: dict[int, str] = {}  # by robot
         self._excitation = np.full(count, np.nan)
 
@@ -125,7 +128,7 @@ class FleetLearner:
         lost = np.broadcast_to(where, self._shape).ravel()
         self._memory.forget_robots(lost)
         self._reach[lost] = 0
-        self._sweep[lost] = -1
+        self._sweep[lost], self._complete[lost] = -1, False
 
     @property
     def problem(self) -> str:
@@ -158,12 +161,14 @@ class FleetLearner:
 
         """
         near = self._knots(arc_length)
-        idle = np.flatnonzero(self._sweep < 0)
+        passed = near - self._near
+        resting = self._complete & (passed >= 0) & (passed < self._rest)
+        idle = np.flatnonzero((self._sweep < 0) & ~resting)
         if len(idle):
             self._begin(idle, near[idle])
         self._done = np.minimum(self._done + self._learning.samples_per_step, self._samples)
         self._time += dt
-        finished = np.flatnonzero(self._done >= self._samples)
+        finished = np.flatnonzero((self._sweep >= 0) & (self._done >= self._samples))
         if len(finished):
             self._finish(finished)
         self._follow(near, dt)
@@ -190,7 +195,7 @@ class FleetLearner:
         ]
         self._sweep[robots] = np.array(sweeps)[which.ravel()]
         self._reach[robots] = np.minimum(2 * reach + 1, self._window)
-        self._far[robots], self._length[robots] = far, far - near
+        self._near[robots], self._far[robots], self._length[robots] = near, far, far - near
         self._samples[robots] = samples
         self._index[robots] = self._done[robots] = 0
         self._time[robots], self._refused[robots] = 0.0, False
@@ -217,7 +222,8 @@ class FleetLearner:
     def _finish(self, robots: np.ndarray) -> None:
         """Let robots with indices (n,) take over the critics of their knots, and go on."""
         memory, index = self._memory, self._index[robots]
-        slots = memory.slots(self._far - 1 - self._index)[robots]
+        turn = np.minimum(self._index, self._length - 1)  # those who rest are at no knot
+        slots = memory.slots(self._far - 1 - turn)[robots]
         turns = self._sweep[robots] * (1 + index.max()) + index
         _, first, which = np.unique(turns, return_index=True, return_inverse=True)
         lessons = [self._lesson(int(robots[one]), int(slots[one])) for one in first]
@@ -235,6 +241,8 @@ class FleetLearner:
         self._done[robots], self._time[robots] = 0, 0.0
         ended = robots[self._index[robots] == self._length[robots]]
         self._sweep[ended] = -1
+        everything = (self._length > self._window) & (self._samples == len(self._model))
+        self._complete[ended] = (everything & ~self._refused)[ended]
         if self._problems:
             for robot in ended[~self._refused[ended]].tolist():
                 self._problems.pop(robot, None)
@@ -279,7 +287,7 @@ class FleetLearner:
         if unsound.any():
             self._problems.update(dict.fromkeys(np.flatnonzero(unsound), "weights are not finite"))
             memory.renew(knots)
-            self._sweep[unsound] = -1
+            self._sweep[unsound], self._complete[unsound] = -1, False
 
     def settle(
         self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
@@ -306,7 +314,7 @@ class FleetLearner:
             self._excitation[robots] = alone.sampled.excitation
         self._problems = {robot: text for robot, text in self._problems.items() if text}
         self._reach[:] = self._window
-        self._sweep[:] = -1
+        self._sweep[:], self._complete[:] = -1, False
         return settled
 
     def take_over(self, previous: Learner) -> None:
