@@ -1,16 +1,18 @@
-"""Read nav_msgs/Path and nav_msgs/Odometry out of their serialised bytes.
+"""Read nav_msgs/Path and nav_msgs/Odometry out of their serialised bytes, and write what is sent.
 
 Of a path, a hundred thousand poses in milliseconds: those whose frame names are equally long lie at
 even distances, and are read in one step; others, which nobody sends, one after the other. Node and
 replay read paths by this module alike, so that they follow the same path to the last bit.
 
 Of odometry, which comes with every control step, the few numbers that count: to make a message of
-it, with two covariances that nobody asks for, takes rclpy ten times as long.
+it, with two covariances that nobody asks for, takes rclpy ten times as long. What every control
+step sends is a header and a few numbers, and their bytes are written in a tenth of the time.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,10 +22,12 @@ from adp_path_follower.bags.cdr import CdrError
 from adp_path_follower.core.geometry import FloatArray
 
 _HEADER = 4  # bytes of encapsulation before the first field
+_LITTLE_ENDIAN = b"\0\1\0\0"  # the encapsulation
 _STAMP = 8  # bytes
 _POSE = 56  # bytes: seven numbers
 _TWIST = 48  # bytes: six numbers
 _COVARIANCE = 288  # bytes: thirty-six numbers
+_NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,24 @@ def read_odometry(raw: bytes) -> OdometryNumbers:
         raise _too_short()
     return OdometryNumbers(
         seconds, nanoseconds, frame, child_frame, pose[:3], pose[3:], twist[0], twist[5]
+    )
+
+
+def stamped_numbers(time: int, frame: str, numbers: Iterable[float]) -> bytes:
+    """Return a serialised message that is a header and numbers: a TwistStamped, a Vector3Stamped.
+
+    Args:
+        time: Stamp [ns].
+        frame: Frame of the header.
+        numbers: All that follows the header.
+
+    """
+    numbers = tuple(numbers)
+    text = frame.encode() + b"\0"
+    room = len(text) + -(_STAMP + 4 + len(text)) % 8  # up to where numbers may lie
+    return struct.pack(
+        f"<{_HEADER}siII{room}s{len(numbers)}d",
+        *(_LITTLE_ENDIAN, *divmod(time, _NANOSECONDS), len(text), text, *numbers),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
 from adp_path_follower.core.settings import ControllerSettings
@@ -19,8 +19,7 @@ class OdometryCheck:
     def __init__(self) -> None:
         """Begin without a message."""
         self._stamp: int | None = None
-        self._pose: FloatArray = np.zeros(3)
-        self._twist: FloatArray = np.zeros(2)
+        self._pose, self._twist = (0.0, 0.0, 0.0), (0.0, 0.0)
         self._child_frame = ""
 
     def problem(
@@ -46,11 +45,12 @@ class OdometryCheck:
             controller: Says what is too old, and what is a jump.
 
         """
-        if not np.abs(pose[:2]).max() <= _FARTHEST or not np.abs(twist).max() <= _FASTEST:
-            x, y, _ = pose
+        (x, y, theta), (v, w) = pose.tolist(), twist.tolist()
+        near, slow = (abs(x) <= _FARTHEST >= abs(y)), (abs(v) <= _FASTEST >= abs(w))
+        if not (near and slow):  # also what is not a number
             return (
-                f"odometry is no robot's: x {x:.3g} m, y {y:.3g} m, v {twist[0]:.3g} m/s, w "
-                f"{twist[1]:.3g} rad/s: check its units"
+                f"odometry is no robot's: x {x:.3g} m, y {y:.3g} m, v {v:.3g} m/s, w "
+                f"{w:.3g} rad/s: check its units"
             )
         age = (now - stamp) / _NANOSECONDS
         if self._stamp is None:
@@ -63,12 +63,16 @@ class OdometryCheck:
         if now and age > controller.odom_timeout:
             problem = f"odometry is {age:.2f} s old by its stamp: are the clocks synchronised?"
         else:
-            problem = self._motion_problem(stamp, pose, twist, controller)
-        self._stamp, self._pose, self._twist = stamp, pose, twist
+            problem = self._motion_problem(stamp, (x, y, theta), (v, w), controller)
+        self._stamp, self._pose, self._twist = stamp, (x, y, theta), (v, w)
         return problem
 
     def _motion_problem(
-        self, stamp: int, pose: FloatArray, twist: FloatArray, controller: ControllerSettings
+        self,
+        stamp: int,
+        pose: tuple[float, float, float],
+        twist: tuple[float, float],
+        controller: ControllerSettings,
     ) -> str:
         """Return how a message does not go with the one before."""
         if self._stamp is None:
@@ -79,17 +83,20 @@ class OdometryCheck:
             return f"odometry stamps went back by {-elapsed:.3f} s"
         if elapsed > controller.odom_timeout:  # nobody knows what happened meanwhile
             return ""
-        possible = elapsed * np.maximum(np.abs(self._twist), np.abs(twist))
-        moved = float(np.hypot(*(pose[:2] - self._pose[:2])))
-        if moved > possible[0] + tolerance:
+        explained, turn = (
+            elapsed * max(abs(before), abs(now))
+            for before, now in zip(self._twist, twist, strict=True)
+        )
+        moved = math.hypot(pose[0] - self._pose[0], pose[1] - self._pose[1])
+        if moved > explained + tolerance:
             return (
                 f"odometry jumped by {moved:.2f} m in {elapsed:.3f} s, where its velocity explains "
-                f"{possible[0]:.2f} m"
+                f"{explained:.2f} m"
             )
         turned = abs(float(wrap_angle(pose[2] - self._pose[2])))
-        if turned > possible[1] + _HEADING_TOLERANCE and np.isfinite(tolerance):
+        if turned > turn + _HEADING_TOLERANCE and math.isfinite(tolerance):
             return (
                 f"odometry turned by {turned:.2f} rad in {elapsed:.3f} s, where its velocity "
-                f"explains {possible[1]:.2f} rad"
+                f"explains {turn:.2f} rad"
             )
         return ""

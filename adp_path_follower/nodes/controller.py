@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time as steady
 from collections.abc import Callable
 from typing import Any
@@ -309,7 +310,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _command_problem(self, output: FollowerOutput, elapsed: float) -> str:
         """Return why a command must not be sent, empty if it may."""
-        if not np.isfinite(output.command).all():
+        if not all(map(math.isfinite, output.command.tolist())):
             self._driver.reset_learning()
             self._publish_configuration()
             return "the learner's command is not finite; learning was reset"

@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from geometry_msgs.msg import Pose, PoseStamped, Quaternion, Twist, TwistStamped, Vector3Stamped
+from geometry_msgs.msg import Pose, PoseStamped, Quaternion, Twist
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.raw_messages import read_odometry
+from adp_path_follower.bags.raw_messages import read_odometry, stamped_numbers
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, advance_pose, yaw_of_quaternion
 
@@ -159,16 +159,15 @@ def twist_message(command: FloatArray) -> Twist:
     return message
 
 
-def twist_stamped(time: int, frame: str, command: FloatArray) -> TwistStamped:
-    """Return a command [v, w] with a stamp [ns]."""
-    return TwistStamped(header=make_header(time, frame), twist=twist_message(command))
+def twist_stamped(time: int, frame: str, command: FloatArray) -> bytes:
+    """Return a command [v, w] with a stamp [ns] as a serialised TwistStamped."""
+    v, w = command.tolist()
+    return stamped_numbers(time, frame, (v, 0.0, 0.0, 0.0, 0.0, w))
 
 
-def vector_message(time: int, frame: str, values: FloatArray) -> Vector3Stamped:
-    """Return e = [s, y, theta], or a pose [x, y, theta] to the last bit, as x, y, z of a vector."""
-    message = Vector3Stamped(header=make_header(time, frame))
-    message.vector.x, message.vector.y, message.vector.z = (float(value) for value in values)
-    return message
+def vector_stamped(time: int, frame: str, values: FloatArray) -> bytes:
+    """Return e = [s, y, theta], or a pose [x, y, theta], as a serialised Vector3Stamped."""
+    return stamped_numbers(time, frame, values.tolist())
 
 
 def array_message(labels: tuple[str, ...], values: FloatArray) -> Float64MultiArray:

@@ -26,7 +26,7 @@ from adp_path_follower.nodes.conversions import (
     make_header,
     pose_message,
     pose_stamped,
-    vector_message,
+    vector_stamped,
 )
 from adp_path_follower.nodes.delivery import (
     ALL_CHANGES,
@@ -76,7 +76,7 @@ def _step_messages(labels: tuple[str, ...]) -> dict[str, tuple[type, MakeMessage
         ),
         "~/tracking_error": (
             Vector3Stamped,
-            lambda time, frame, out, _: vector_message(time, frame, out.error),
+            lambda time, frame, out, _: vector_stamped(time, frame, out.error),
         ),
         "~/critic_weights": (
             Float64MultiArray,
@@ -142,7 +142,7 @@ class Telemetry:
         self, time: int, frame: str, pose: FloatArray, output: FollowerOutput, cost: float
     ) -> None:
         """Publish what one control step at a time [ns] went by and found; cost is J so far."""
-        self._pose.publish(vector_message(time, frame, pose))
+        self._pose.publish(vector_stamped(time, frame, pose))
         for publisher, make in self._steps_to_tell(time):
             publisher.publish(make(time, frame, output, cost))
 

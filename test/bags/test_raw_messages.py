@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.raw_messages import read_odometry
+from adp_path_follower.bags.raw_messages import read_odometry, stamped_numbers
 
 NAMES = st.text("abcäß/_", max_size=9)
 NUMBERS = st.lists(st.floats(), min_size=13, max_size=13)
@@ -79,3 +79,25 @@ def test_odometry_is_refused_wherever_it_is_cut_off():
     for length in range(len(raw)):
         with pytest.raises(CdrError):
             read_odometry(raw[:length])
+
+
+@settings(deadline=None)
+@given(
+    time=st.integers(-(2**31) * 1_000_000_000, 2**31 * 1_000_000_000 - 1),
+    frame=NAMES,
+    numbers=st.lists(st.floats(), min_size=6, max_size=6),
+)
+def test_a_header_and_numbers_are_written_as_the_serialiser_does(time, frame, numbers):
+    made = TYPES["std_msgs/msg/Header"](
+        TYPES["builtin_interfaces/msg/Time"](*divmod(time, 1_000_000_000)), frame
+    )
+    first, second = (
+        TYPES["geometry_msgs/msg/Vector3"](*part) for part in (numbers[:3], numbers[3:])
+    )
+    vector = TYPES["geometry_msgs/msg/Vector3Stamped"](made, first)
+    twist = TYPES["geometry_msgs/msg/TwistStamped"](
+        made, TYPES["geometry_msgs/msg/Twist"](first, second)
+    )
+    for message, written in ((vector, numbers[:3]), (twist, numbers)):
+        expected = STORE.serialize_cdr(message, message.__msgtype__)
+        assert stamped_numbers(time, frame, written) == bytes(expected)
