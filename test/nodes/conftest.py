@@ -173,6 +173,7 @@ def start(domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
     yield starter
     for node in running:
         node.stop()
+        print(f"{node.log}:\n{node.output()}")  # for whoever reads why a test failed
         assert "Traceback" not in node.output(), node.output()
 
 

@@ -19,20 +19,29 @@ BAD_DAY = [
     ({"for": 0.2, "reported_base_frame": "other"}, "odometry is of 'other' now"),
     ({"for": 0.9, "odometry_drop": 1.0}, "no odometry for more than 0.5 s"),
     ({"for": 0.9, "clock_stops": True}, "no control step for more than 0.5 s"),
-    ({"clock_offset": -2.0}, "went back"),
+    ({"for": 1.0, "clock_offset": -2.0}, "went back"),
 ]
+# A fault is over in a moment, and a busy machine may sleep through it: the day comes round again.
+DAY = 1.5 * (1 + len(BAD_DAY))  # [s]
+
+
+def seconds(message: Odometry) -> float:
+    """Return the stamp of a message [s]."""
+    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
 
 def test_every_fault_of_a_script_is_seen_and_the_robot_goes_on_after_it(peer, start, tmp_path):
     script = tmp_path / "bad_day.yaml"
-    entries = [{"at": 1.0 + 1.5 * index, **fault} for index, (fault, _) in enumerate(BAD_DAY)]
+    entries = [
+        {"at": 1.0 + 1.5 * index, "every": DAY, **fault} for index, (fault, _) in enumerate(BAD_DAY)
+    ]
     script.write_text(yaml.safe_dump({"faults": entries}))
     truth = peer.listen(Odometry, "ground_truth")
     controller = start("controller", use_sim_time=True)
     start("path_publisher", path="line")
     start("sim_unicycle", publish_clock=True, fault_script=str(script))
     for _, cause in BAD_DAY:
-        peer.until(lambda cause=cause: cause in controller.output(), cause)
+        peer.until(lambda cause=cause: cause in controller.output(), cause, timeout=4.0 * DAY)
 
     def goes_on() -> bool:
         last = controller.output().strip().splitlines()[-1]
@@ -40,10 +49,10 @@ def test_every_fault_of_a_script_is_seen_and_the_robot_goes_on_after_it(peer, st
 
     peer.until(goes_on, "the drive after all of it")
     faults = [line for line in controller.output().splitlines() if "fault: " in line]
-    # One line each, in the order of the script: no flood of messages.
-    places = [next(i for i, (_, cause) in enumerate(BAD_DAY) if cause in line) for line in faults]
-    assert places == sorted(places)
-    assert len(faults) < 30
+    # A line or two each, and none of other faults: no flood of messages.
+    assert all(any(cause in line for _, cause in BAD_DAY) for line in faults)
+    days = 1.0 + seconds(truth[-1]) / DAY
+    assert len(faults) < 3 * len(BAD_DAY) * days
 
 
 def test_odometry_that_is_late_and_lost_does_not_hold_lock_step_up(peer, start):
@@ -62,9 +71,6 @@ def test_odometry_that_is_late_and_lost_does_not_hold_lock_step_up(peer, start):
 
     peer.node.create_timer(0.002, answer)
     start("sim_unicycle", lockstep=True, odometry_drop=0.5, odometry_delay=0.03, rate=100.0)
-
-    def seconds(message: Odometry) -> float:
-        return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
     peer.until(lambda: truth and seconds(truth[-1]) > 5.0, "five simulated seconds")
     stamps = {
