@@ -36,23 +36,30 @@ class Goal:
         """Note where robots are, poses (..., 3), and what they were told, dt [s] after the last."""
         if not self._open:
             return
-        if not self._stops:
-            self.reached = output.arc_length >= self._length
-            return
-        arrived = output.arc_length >= self._length - self._motion.xy_goal_tolerance
+        tolerance = self._motion.xy_goal_tolerance
+        arrived = output.arc_length >= self._length - (tolerance if self._stops else 0.0)
         if not arrived.any():
             self.reached, self._waited = arrived, 0.0
             return
         error = tracking_error(pose, self._pose)
         distance, turn = np.hypot(error[..., 0], error[..., 1]), np.abs(error[..., 2])
-        near = distance <= self._motion.xy_goal_tolerance
-        near = near & (turn <= self._motion.yaw_goal_tolerance)
-        standing = (np.abs(output.command) <= _STANDING).all(axis=-1)
-        self.reached = arrived & near & standing
+        near = (distance <= tolerance) & (turn <= self._motion.yaw_goal_tolerance)
+        if self._stops:
+            standing = (np.abs(output.command) <= _STANDING).all(axis=-1)
+            self.reached = arrived & near & standing
+        else:  # it drives on, so where it has been counts
+            self.reached = self.reached | (arrived & near)
         self._waited += dt
-        if self._waited > _PATIENCE and self.reached.ndim == 0 and not near:
-            self.problem = (
-                f"the robot stands {distance:.3f} m and {turn:.3f} rad from the end of the path, "
-                f"beyond xy_goal_tolerance {self._motion.xy_goal_tolerance:g} or "
-                f"yaw_goal_tolerance {self._motion.yaw_goal_tolerance:g}"
-            )
+        if self.reached.ndim == 0 and not near and not self.reached:
+            passed = not self._stops and error[0] > tolerance
+            if passed or self._waited > _PATIENCE:
+                self.problem = self._miss(float(distance), float(turn))
+
+    def _miss(self, distance: float, turn: float) -> str:
+        """Return how far [m, rad] a robot is from the end that it will not come nearer to."""
+        remedy = "" if self._stops else "; with a finite max_linear_decel it brakes to the end"
+        return (
+            f"the robot is {distance:.3f} m and {turn:.3f} rad from the end of the path, "
+            f"beyond xy_goal_tolerance {self._motion.xy_goal_tolerance:g} or "
+            f"yaw_goal_tolerance {self._motion.yaw_goal_tolerance:g}{remedy}"
+        )

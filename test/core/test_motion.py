@@ -129,6 +129,35 @@ def test_a_robot_that_stands_beside_the_end_is_told_of():
     assert 9.0 < step * 0.01 < 12.5
 
 
+def goal_without_braking(places):
+    """Return the goal of a line of 1 m after a robot was at places x [m] and y = 0.02, y = ..."""
+    path = Path.from_points([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
+    driver = Driver(build(Settings, {"path_start": "beginning"}))
+    driver.follow(path)
+    for step, (x, y) in enumerate(places, start=1):
+        driver.step(np.array([x, y, 0.0]), step * 10_000_000)
+    assert driver.follower is not None
+    return driver.follower.goal
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "reached", "problem"),
+    [
+        (np.linspace(0.0, 1.1, 221), 0.02, True, ""),
+        (np.linspace(-0.2, 0.9, 221), 0.0, False, ""),  # behind its target, on its way
+        (np.linspace(-0.2, 1.1, 261), 0.0, True, ""),
+        (np.linspace(0.0, 1.1, 221), 0.06, False, "from the end of the path"),  # passes by
+        (np.zeros(1300), 0.0, False, "1.000 m and 0.000 rad"),  # is held
+    ],
+)
+def test_without_deceleration_the_robot_must_come_by_the_end(x, y, reached, problem):
+    goal = goal_without_braking([(place, y) for place in x])
+    assert bool(goal.reached) == reached
+    assert problem in goal.problem
+    assert bool(goal.problem) == bool(problem)
+    assert not problem or "max_linear_decel" in goal.problem
+
+
 def test_without_deceleration_the_goal_is_where_the_path_ends():
     path = Path.from_points([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
     follower, *_ = drive(path, (0.5, 0.02, 0.0), 1.2, {})
