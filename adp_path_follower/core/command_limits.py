@@ -19,7 +19,7 @@ def limited_command(
     """Return the command nearest to the wanted one that can follow the previous one, (..., 2).
 
     Limits of acceleration always hold, those of velocity unless the previous command is beyond
-    them; then it returns to them as fast as it may. A limit of jerk gives way to both.
+    them; then it returns to them as fast as accelerations allow. A limit of jerk gives way to both.
 
     Args:
         wanted: [v, w] within the limits of velocity, shape (..., 2).
@@ -33,7 +33,8 @@ def limited_command(
     lower, upper = _within_reach(previous, motion, dt)
     if motion.jerk_limited:
         jerk = np.array([motion.max_linear_jerk, motion.max_angular_jerk])
-        wanted = _smoothed(wanted, previous, rate, jerk, dt)
+        beyond = (previous < limits.lower) | (previous > limits.upper)
+        wanted = np.where(beyond, wanted, _smoothed(wanted, previous, rate, jerk, dt))
         lower = np.maximum(lower, np.minimum(limits.lower, previous))
         upper = np.minimum(upper, np.maximum(limits.upper, previous))
     return np.asarray(np.minimum(np.maximum(wanted, lower), upper))

@@ -109,8 +109,10 @@ def test_jerk_is_limited_and_the_command_arrives_without_passing_by(goal):
 
 
 def test_a_limit_that_falls_below_the_command_is_met_as_fast_as_braking_allows():
-    command = after((0.2, 0.0), (0.9, 0.0), max_linear_vel=0.2, max_linear_decel=1.0)
-    assert command[0] == pytest.approx(0.8)
+    for jerk in ({}, {"max_linear_jerk": 0.1, "max_angular_jerk": 0.1}):
+        limits = {"max_linear_vel": 0.2, "max_linear_decel": 1.0, "max_angular_vel": 0.5, **jerk}
+        command = after((0.2, 0.5), (0.9, 0.7), max_angular_accel=1.0, **limits)
+        np.testing.assert_allclose(command, (0.8, 0.6))
 
 
 def test_a_batch_is_limited_robot_by_robot():
