@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.odometry_check import OdometryProblem
 from adp_path_follower.core.settings import ControllerSettings
 
 
@@ -30,6 +31,7 @@ class Status:
 
 
 _RESUME = "call ~/resume"
+_SETTLED = 0.2  # [s] of sound odometry after wrong odometry: every second message may be wrong
 
 
 def deviation(error: FloatArray, controller: ControllerSettings) -> str:
@@ -47,9 +49,9 @@ def deviation(error: FloatArray, controller: ControllerSettings) -> str:
 class Supervisor:
     """Decide from the inputs' freshness and soundness whether the robot may move.
 
-    A fault of the odometry, of the clock or of the command clears itself as soon as sound odometry
-    returns; that the robot was too far from the path stays until `resume`. Times are steady
-    seconds: they go on when the ROS clock stands still.
+    A fault of the odometry, of the clock or of the command clears itself when sound odometry
+    returns; that the robot was too far from the path, or may have been carried, stays until
+    `resume`. Times are steady seconds: they go on when the ROS clock stands still.
     """
 
     def __init__(self, odom_timeout: float) -> None:
@@ -59,7 +61,9 @@ class Supervisor:
         self._odometry_time: float | None = None
         self._tick_time: float | None = None
         self._odometry_problem = ""
+        self._sound_since: float | None = None  # after wrong odometry
         self._command_problem = ""
+        self._limit_problem = ""
         self._deviation = ""
         self._clock_missing = False
         self._has_path = False
@@ -67,11 +71,25 @@ class Supervisor:
         self._goal_problem = ""
         self._stopped = False
 
-    def odometry_received(self, now: float, problem: str = "") -> None:
+    def renewed(self) -> Supervisor:
+        """Return one that knows of no path and no odometry, and of what waits for `resume`."""
+        other = Supervisor(self.odom_timeout)
+        other._stopped, other._deviation = self._stopped, self._deviation
+        return other
+
+    def odometry_received(self, now: float, problem: OdometryProblem | None = None) -> None:
         """Note a message, and what is wrong with it."""
         self._odometry_time = now
-        self._odometry_problem = problem
         self._command_problem = ""
+        if problem is not None:
+            self._odometry_problem, self._sound_since = problem.text, None
+            if problem.lasts:
+                self._deviation = problem.text
+        elif self._odometry_problem:
+            if self._sound_since is None:
+                self._sound_since = now
+            if now - self._sound_since >= _SETTLED:
+                self._odometry_problem = ""
 
     def tick(self, now: float) -> None:
         """Note that the control timer goes on."""
@@ -101,6 +119,10 @@ class Supervisor:
     def command_refused(self, problem: str) -> None:
         """Note that no sound command could be found for the last odometry."""
         self._command_problem = problem
+
+    def speed_limit_refused(self, problem: str) -> None:
+        """Note why the last speed limit cannot hold, empty if it does."""
+        self._limit_problem = problem
 
     def deviated(self, problem: str) -> None:
         """Note that the robot is further from the path than the user allows."""
@@ -157,17 +179,22 @@ class Supervisor:
                 f"no control step for more than {timeout:g} s",
                 "check /clock, which may stand still; following goes on when it does",
             ),
+            (bool(self._deviation), self._deviation, f"see to the robot, then {_RESUME}"),
             (
                 bool(self._odometry_problem),
                 self._odometry_problem,
-                "check the odometry source; following goes on with the next sound message",
+                "check the odometry source; following goes on with sound messages",
             ),
             (
                 bool(self._command_problem),
                 self._command_problem,
                 "following goes on with the next odometry",
             ),
-            (bool(self._deviation), self._deviation, f"bring the robot back, then {_RESUME}"),
+            (
+                bool(self._limit_problem),
+                self._limit_problem,
+                "following goes on with a speed limit above 0; to stop the robot, call ~/stop",
+            ),
             (
                 bool(self._goal_problem),
                 self._goal_problem,

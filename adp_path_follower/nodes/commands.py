@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time as steady
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,18 +24,21 @@ _ZERO = np.zeros(2)
 
 
 class Commands:
-    """Publishes commands; a stop is repeated for a while, then the robot is left to others."""
+    """Publishes commands; a stop is repeated for a while, then the robot is left to others.
+
+    A thread stops the robot when no command follows one that moves it, whatever holds the node up.
+    """
 
     def __init__(
         self, node: Node, stamped: bool, lossless: bool, timeout: Callable[[], float]
     ) -> None:
-        """Create the publisher, and a thread that stops the robot when a control step hangs.
+        """Create the publisher, and start the thread.
 
         Args:
             node: The controller.
             stamped: Whether to publish TwistStamped, else Twist.
             lossless: Keep commands for those who join late.
-            timeout: Returns the time that a control step may take [s].
+            timeout: Returns how long a robot may go on with one command [s].
 
         """
         self.frame = "base_link"
@@ -47,17 +49,21 @@ class Commands:
         )
         self._heard = False  # whether anybody has listened to commands since the activation
         self._stop_until, self._stops_left = 0.0, 0
-        self._busy_since: float | None = None
+        self._moved_at: float | None = None  # when the last command was sent, if it moves
+        self._was_late = False
         self._closed = threading.Event()
-        self._watch = threading.Thread(target=self._stop_when_hanging, daemon=True)
+        self._watch = threading.Thread(target=self._stop_when_silent, daemon=True)
         self._watch.start()
 
     def send(self, command: FloatArray, time: int) -> None:
         """Publish a command [v, w] for a time [ns]."""
-        if self._stamped:
-            self._publisher.publish(twist_stamped(time, self.frame, command))
-        else:
-            self._publisher.publish(twist_message(command))
+        self._moved_at = steady.monotonic() if command.any() else None
+        self._publish(command, time)
+
+    def take_lateness(self) -> str:
+        """Return why the robot was stopped although it was to drive, once; empty if it was not."""
+        late, self._was_late = self._was_late, False
+        return f"no command for more than {self._timeout():g} s" if late else ""
 
     def stop(self) -> None:
         """Publish zero velocity, now and for a while."""
@@ -89,27 +95,30 @@ class Commands:
         self._watch.join()
         self._node.destroy_publisher(self._publisher)
 
-    @contextlib.contextmanager
-    def control_step(self) -> Iterator[None]:
-        """Watch over a control step, from another thread."""
-        self._busy_since = steady.monotonic()
-        try:
-            yield
-        finally:
-            self._busy_since = None
-
-    def _stop_when_hanging(self) -> None:
-        """Publish zero velocity for a while, as soon as a control step takes too long."""
+    def _stop_when_silent(self) -> None:
+        """Publish zero velocity for a while, as soon as the next command is late."""
         left = 0.0
         while not self._closed.wait(min(left, _LONGEST_WAIT) if left > 0.0 else WATCH_PERIOD):
-            now, since = steady.monotonic(), self._busy_since
-            # A step that begins after now cannot be late before that time is over.
+            now, since = steady.monotonic(), self._moved_at
+            # A command that is sent after now cannot be old before that time is over.
             left = self._timeout() - (0.0 if since is None else now - since)
+            if left <= 0.0:
+                self._was_late = True
             if -_STOP_DURATION < left <= 0.0:
-                self._send_zero()
+                self._publish(_ZERO, self._now())
+
+    def _publish(self, command: FloatArray, time: int) -> None:
+        if self._stamped:
+            self._publisher.publish(twist_stamped(time, self.frame, command))
+        else:
+            self._publisher.publish(twist_message(command))
+
+    def _now(self) -> int:
+        return int(self._node.get_clock().now().nanoseconds)
 
     def _begin_stop(self) -> None:
         self._stop_until, self._stops_left = steady.monotonic() + _STOP_DURATION, _STOP_COUNT
+        self._was_late = False  # it was stopped anyway
 
     def _send_zero(self) -> None:
-        self.send(_ZERO, int(self._node.get_clock().now().nanoseconds))
+        self.send(_ZERO, self._now())

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time as steady
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from nav_msgs.msg import Odometry
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
-from rclpy.qos import qos_profile_sensor_data
-from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from adp_path_follower import __version__
@@ -22,17 +16,20 @@ from adp_path_follower.core.driver import Driver
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.odometry_check import OdometryCheck
-from adp_path_follower.core.schema import update
+from adp_path_follower.core.odometry_check import OdometryProblem, stamp_problem
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State, Status, Supervisor, deviation
 from adp_path_follower.nodes.commands import Commands
-from adp_path_follower.nodes.conversions import Measurement, MessageError, measurement_of
+from adp_path_follower.nodes.controller_parts import ControllerParts
+from adp_path_follower.nodes.conversions import Measurement
+from adp_path_follower.nodes.defended import defend_services, told_if_it_fails
+from adp_path_follower.nodes.odometry_input import OdometryInput
 from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
 from adp_path_follower.nodes.path_fitting import Fit, route_of_message
 from adp_path_follower.nodes.path_input import PathInput
 from adp_path_follower.nodes.path_intake import PathAnswer
 from adp_path_follower.nodes.run import Ending
+from adp_path_follower.nodes.speed_limit_input import SpeedLimitInput
 from adp_path_follower.nodes.telemetry import Telemetry
 from adp_path_follower.nodes.watchdog import WATCH_PERIOD, Watchdog
 from adp_path_follower.nodes.weights import WeightsFiles
@@ -40,6 +37,7 @@ from adp_path_follower.nodes.weights import WeightsFiles
 NODE_NAME = "path_follower"
 
 _ZERO = np.zeros(2)
+_MOST_SILENCE = 0.5  # [s] beyond a period of the control timer, however long odometry may be silent
 
 
 class PathFollowerNode(Ending, LifecycleNode):
@@ -48,14 +46,13 @@ class PathFollowerNode(Ending, LifecycleNode):
     def __init__(self, fit: Fit = route_of_message) -> None:
         """Declare the parameters; `fit` makes routes of paths, in another thread."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
+        defend_services(self)
         self._settings = declare_settings(self, Settings)
         LiveSettings(self, self._settings, self._prepare_settings)
         self._weights = WeightsFiles(self, self._settings, lambda: self._driver)
-        self._commands: Commands | None = None
         self._fit = fit
-        self._path: PathInput | None = None
-        self._watchdog: Watchdog | None = None
-        self._entities: list[tuple[Any, Any]] = []
+        self._parts: ControllerParts | None = None
+        self._supervisor = Supervisor(self._settings.controller.odom_timeout)
         self._forget_run()
         if self._settings.controller.autostart:
             self.trigger_configure()
@@ -64,122 +61,108 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _forget_run(self) -> None:
         """Return to the state before any message."""
         self._driver = Driver(self._settings, self._weights.saved, self.get_logger().warning)
-        self._measurement: Measurement | None = None
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
         self._clock_time = 0
         self._shown = Status(State.INACTIVE)
         self._shown_since = 0
         self._next_diagnostics = 0.0
-        self._odometry_check = OdometryCheck()
-        self._supervisor = Supervisor(self._settings.controller.odom_timeout)
+        self._supervisor = self._supervisor.renewed()
+
+    @property
+    def _configured(self) -> ControllerParts:
+        assert self._parts is not None  # whoever asks was created with them
+        return self._parts
 
     # Lifecycle
 
+    @told_if_it_fails
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Create publishers, subscriptions, services and timers."""
         controller = self._settings.controller
         lossless = controller.control_trigger == "odometry"
-        stamped = controller.enable_stamped_cmd_vel
-        self._commands = Commands(
-            self, stamped, lossless, lambda: self._settings.controller.odom_timeout
-        )
         labels = self._settings.learning.value_basis.labels
-        self._telemetry = Telemetry(self, labels, lossless, lambda: self._settings.controller)
-        odom = self.create_subscription(
-            Odometry, "odom", self._receive_odometry, qos_profile_sensor_data, raw=True
+        self._parts = ControllerParts(
+            Commands(self, controller.enable_stamped_cmd_vel, lossless, self._most_silence),
+            Telemetry(self, labels, lossless, lambda: self._settings.controller),
+            OdometryInput(self, lambda: self._settings, self._take_odometry, self._refuse_odometry),
+            PathInput(
+                self, lambda: self._settings.path, self._follow_path, self._refuse_path, self._fit
+            ),
+            SpeedLimitInput(self, lambda: self._settings, self._answer_speed_limit),
+            Watchdog(self, self._watch),
+            self._weights.entities(),
         )
-        limit = self.create_subscription(Float64, "speed_limit", self._receive_speed_limit, 1)
-        self._path = PathInput(
-            self, lambda: self._settings.path, self._follow_path, self._refuse_path, self._fit
-        )
-        reset = self.create_service(Trigger, "~/reset_learning", self._reset_learning)
-        stop = self.create_service(Trigger, "~/stop", self._stop)
-        resume = self.create_service(Trigger, "~/resume", self._resume)
-        self._watchdog = Watchdog(self, self._watch)
-        self._entities = [
-            *((self.destroy_subscription, item) for item in (odom, limit)),
-            *((self.destroy_service, service) for service in (reset, stop, resume)),
-            *self._weights.entities(),
-        ]
+        for name, answer in (
+            ("~/reset_learning", self._reset_learning),
+            ("~/stop", self._stop),
+            ("~/resume", self._resume),
+        ):
+            service = self.create_service(Trigger, name, answer)
+            self._parts.entities.append((self.destroy_service, service))
         if controller.control_trigger == "timer":
             timer = self.create_timer(1.0 / controller.controller_frequency, self._on_timer)
-            self._entities.append((self.destroy_timer, timer))
+            self._parts.entities.append((self.destroy_timer, timer))
         return super().on_configure(state)
 
+    @told_if_it_fails
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Allow commands; zero velocity first."""
-        self._supervisor.active = True
-        assert self._commands is not None  # configured before
-        self._commands.activated()
+        self._configured.commands.activated()
+        result = super().on_activate(state)
         self.get_logger().info("active: following as soon as there are odometry and a path")
-        return super().on_activate(state)
+        self._supervisor.active = True  # when nothing can fail any more
+        return result
 
+    @told_if_it_fails
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the robot and send no more commands."""
         self.last_words()
-        self._supervisor.active = False
         return super().on_deactivate(state)
 
+    @told_if_it_fails
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the robot and forget path, odometry and what was learned."""
         self.last_words()
-        self._destroy_entities()
+        self._configured.destroy()
+        self._parts = None
         self._forget_run()
         return super().on_cleanup(state)
 
+    @told_if_it_fails
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the robot and end the node."""
         self.last_words()
-        self._supervisor.active = False
         self.finished = True
         return super().on_shutdown(state)
 
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the node, and stop the robot: nobody knows how much of a transition was made."""
+        self._supervisor.active = False
+        self.finished = self.failed = True
+        return super().on_error(state)
+
     def last_words(self) -> None:
         """Tell the robot to stop before the node goes, or gives it over."""
-        if self._commands is not None:
-            self._commands.last_words()
-            self._supervisor.active = False
-            self._update_status()  # the last that ~/status and /diagnostics say
-            self._telemetry.deliver_status()
-
-    def _destroy_entities(self) -> None:
-        for destroy, entity in self._entities:
-            destroy(entity)
-        self._entities = []
-        self._telemetry.destroy(self)
-        for part in (self._path, self._commands, self._watchdog):
-            if part is not None:
-                part.destroy()
-        self._path = self._commands = self._watchdog = None
+        self._supervisor.active = False
+        if self._parts is None:
+            return
+        self._parts.commands.last_words()
+        self._note_stop()
+        self._update_status()  # the last that ~/status and /diagnostics say
+        self._parts.telemetry.deliver_status()
 
     # Inputs
 
-    def _receive_odometry(self, raw: bytes) -> None:
-        now = steady.monotonic()
-        try:
-            measurement = measurement_of(raw)
-        except MessageError as error:
-            self._supervisor.odometry_received(now, str(error))
-            self._update_status()
-            return
-        problem = self._odometry_check.problem(
-            self._now(),
-            measurement.stamp,
-            measurement.pose,
-            measurement.twist,
-            measurement.child_frame,
-            self._settings.controller,
-        )
-        self._supervisor.odometry_received(now, problem)
-        if problem:
-            self._update_status()
-            return
-        self._measurement = measurement
-        if self._commands is not None:
-            self._commands.frame = measurement.child_frame
-        assert self._path is not None  # there is no odometry before it is subscribed to
-        self._path.odometry_in(measurement.frame)
+    def _refuse_odometry(self, problem: OdometryProblem) -> None:
+        self._supervisor.odometry_received(steady.monotonic(), problem)
+        self._update_status()
+
+    def _take_odometry(self, measurement: Measurement) -> None:
+        self._supervisor.odometry_received(steady.monotonic())
+        parts = self._configured
+        parts.commands.frame = measurement.child_frame
+        parts.path.odometry_in(measurement.frame)
         if self._settings.controller.control_trigger == "odometry":
             self._control(measurement.stamp)
 
@@ -192,21 +175,18 @@ class PathFollowerNode(Ending, LifecycleNode):
         else:
             self._supervisor.path_received()
             self.get_logger().info(f"new path: {found.text}")
-            self._telemetry.markers(self._now(), found.followed_frame, found.route, None)
+            markers = self._configured.telemetry.markers
+            markers(self._now(), found.followed_frame, found.route, None)
         self._publish_configuration()
 
     def _refuse_path(self, problem: str) -> None:
         self.get_logger().error(f"path refused: {problem}")
         self._publish_diagnostics()
 
-    def _receive_speed_limit(self, message: Float64) -> None:
-        """Set the parameter speed_limit, so that whoever asks for it sees what holds."""
-        try:
-            update(self._settings, {"speed_limit": message.data})  # says it better than ROS does
-        except SettingsError as error:
-            self.get_logger().error(f"speed limit refused: {error}")
-            return
-        self.set_parameters([Parameter("speed_limit", value=message.data)])
+    def _answer_speed_limit(self, problem: str) -> None:
+        """Let the robot stand while the last limit cannot hold: who sent it may want that."""
+        self._supervisor.speed_limit_refused(problem)
+        self._update_status()
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
         """Return what takes over other settings between two steps.
@@ -215,8 +195,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             SettingsError: No policy can be found for them.
 
         """
-        with self._commands.control_step() if self._commands else contextlib.nullcontext():
-            change = self._driver.prepared(settings)
+        change = self._driver.prepared(settings)
 
         def take_over() -> None:
             self._driver.take_over(change)
@@ -236,8 +215,8 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._supervisor.stop()
-        if self._commands is not None:
-            self._commands.stop()
+        if self._supervisor.active:
+            self._configured.commands.stop()
         self._update_status()
         response.success, response.message = True, "stopped; ~/resume goes on"
         return response
@@ -259,32 +238,30 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _control(self, time: int) -> None:
         """Command for a time [ns], then learn: what is learned is for the next command."""
         self._command(time)
-        if self._commands is not None:
-            with self._commands.control_step():
-                self._driver.learn()
+        self._driver.learn()
 
     def _command(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
         if self._update_status().state is not State.FOLLOWING:
             return
-        assert self._measurement is not None  # there is no FOLLOWING without odometry
-        assert self._commands is not None  # nor before the node is configured
+        parts, measurement = self._configured, self._configured.odometry.measurement
+        assert measurement is not None  # there is no FOLLOWING without odometry
         if time == self._step_time:  # the same odometry again: so is the answer
-            self._commands.send(self._last_command, time)
+            parts.commands.send(self._last_command, time)
             return
-        pose = self._measurement.pose_at(time)
-        begun = steady.monotonic()
-        try:
-            with self._commands.control_step():
-                output = self._driver.command_for(pose, time)
-        except SettingsError as error:
-            self._supervisor.command_refused(str(error))
-            self._update_status()
-            return
-        problem = self._command_problem(output, steady.monotonic() - begun)
+        problem = stamp_problem(time, measurement.stamp, self._settings.controller)
         if problem:
-            self._supervisor.command_refused(problem)
-            self._update_status()
+            self._refuse_command(problem)
+            return
+        pose = measurement.pose_at(time)
+        try:
+            output = self._driver.command_for(pose, time)
+        except SettingsError as error:
+            self._refuse_command(str(error))
+            return
+        problem = self._command_problem(output)
+        if problem:
+            self._refuse_command(problem)
             return
         self._last_command, self._step_time = output.command, time
         too_far = deviation(output.error, self._settings.controller)
@@ -292,31 +269,43 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._supervisor.deviated(too_far)
             self._update_status()
         else:
-            self._commands.send(output.command, time)
-        follower = self._driver.follower
-        assert follower is not None  # the step has made it
-        if self._telemetry.learning(follower.learning_problem):
-            self._publish_diagnostics()
-        assert self._path is not None  # nor without a path
-        assert self._path.followed is not None
-        frame, route = self._path.followed.followed_frame, self._driver.route
-        self._telemetry.step(time, frame, pose, output, float(follower.cost))
-        if route is not None:
-            self._telemetry.markers(time, frame, route, output)
-        if self._driver.at_goal:
-            self._supervisor.goal_reached()
-        elif follower.goal.problem:
-            self._supervisor.goal_missed(follower.goal.problem)
+            parts.commands.send(output.command, time)
+        self._tell(time, pose, output)
 
-    def _command_problem(self, output: FollowerOutput, elapsed: float) -> str:
+    def _refuse_command(self, problem: str) -> None:
+        self._supervisor.command_refused(problem)
+        self._update_status()
+
+    def _command_problem(self, output: FollowerOutput) -> str:
         """Return why a command must not be sent, empty if it may."""
         if not all(map(math.isfinite, output.command.tolist())):
             self._driver.reset_learning()
             self._publish_configuration()
             return "the learner's command is not finite; learning was reset"
-        if elapsed > self._settings.controller.odom_timeout:
-            return f"a control step took {elapsed:.2f} s"
-        return ""
+        return self._configured.commands.take_lateness()
+
+    def _tell(self, time: int, pose: FloatArray, output: FollowerOutput) -> None:
+        """Publish what a step at a time [ns] and a pose (3,) found, and see if it was the last."""
+        parts, follower, route = self._configured, self._driver.follower, self._driver.route
+        assert follower is not None  # the step has made it
+        if parts.telemetry.learning(follower.learning_problem):
+            self._publish_diagnostics()
+        assert parts.path.followed is not None  # nor a step without a path
+        frame = parts.path.followed.followed_frame
+        parts.telemetry.step(time, frame, pose, output, float(follower.cost))
+        if route is not None:
+            parts.telemetry.markers(time, frame, route, output)
+        if self._driver.at_goal:
+            self._supervisor.goal_reached()
+        elif follower.goal.problem:
+            self._supervisor.goal_missed(follower.goal.problem)
+
+    def _most_silence(self) -> float:
+        """Return how long the robot may go on with one command [s]."""
+        controller = self._settings.controller
+        if controller.control_trigger == "odometry":
+            return controller.odom_timeout
+        return min(controller.odom_timeout, 1.0 / controller.controller_frequency + _MOST_SILENCE)
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -325,8 +314,8 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _watch(self) -> float:
         """Look after the robot, whatever the control timer does; return when to do so again [s]."""
-        if self._path is not None:
-            self._path.retry()
+        parts = self._configured
+        parts.path.retry()
         clock_time = self._now()
         by_timer = self._settings.controller.control_trigger == "timer"
         self._supervisor.clock_missing(by_timer and clock_time == 0)
@@ -334,8 +323,8 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._supervisor.command_refused("the clock went back")
         self._clock_time = clock_time
         following = self._update_status().state is State.FOLLOWING
-        if self._commands is not None and self._supervisor.active and not following:
-            self._commands.repeat_stop()
+        if self._supervisor.active and not following:
+            parts.commands.repeat_stop()
         if steady.monotonic() >= self._next_diagnostics:
             self._publish_diagnostics()
         return self._supervisor.patience(steady.monotonic()) if following else WATCH_PERIOD
@@ -346,14 +335,11 @@ class PathFollowerNode(Ending, LifecycleNode):
         status = self._supervisor.status(now)
         if status == self._shown:
             return status
-        if self._watchdog is not None:
-            self._watchdog.hurry()
-        leaves = self._shown.state is State.FOLLOWING and self._supervisor.active
-        if leaves and self._commands is not None:
-            self._commands.stop()
-            self._last_command = _ZERO
-            if self._driver.stopped():
-                self._publish_configuration()
+        if self._parts is not None:
+            self._parts.watchdog.hurry()
+        if self._shown.state is State.FOLLOWING and self._supervisor.active:
+            self._configured.commands.stop()
+            self._note_stop()
         same_state, self._shown = status.state is self._shown.state, status
         if same_state and now < self._next_diagnostics:
             return status  # a cause that changes with every message is no news with each
@@ -367,25 +353,32 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._publish_diagnostics()
         return status
 
+    def _note_stop(self) -> None:
+        """Remember that the robot was told to stop: its next command begins at rest."""
+        self._last_command = _ZERO
+        if self._driver.stopped():
+            self._publish_configuration()
+
     # Reports
 
     def _publish_diagnostics(self) -> None:
-        if self._commands is None:
+        if self._parts is None:
             return
         self._next_diagnostics = steady.monotonic() + 1.0
         values = {"version": __version__}
-        problem = "" if self._path is None else self._path.problem
         if self._driver.follower is not None:
             values["arc_length [m]"] = f"{float(self._driver.follower.arc_length):.3f}"
             values["cost"] = f"{float(self._driver.follower.cost):.6g}"
-        self._telemetry.diagnostics(self._now(), self._shown, self._shown_since, problem, values)
+        self._parts.telemetry.diagnostics(
+            self._now(), self._shown, self._shown_since, self._parts.path.problem, values
+        )
 
     def _publish_configuration(self) -> None:
-        if self._commands is None:
+        if self._parts is None:
             return
         driver, after = self._driver, NO_STEP if self._step_time is None else self._step_time
-        path = None if self._path is None else self._path.followed
-        self._telemetry.configuration(
+        path = self._parts.path.followed
+        self._parts.telemetry.configuration(
             configuration_text(
                 *(driver.settings, driver.route, after),
                 *(driver.learning_resets, driver.restarts, driver.stops),

@@ -101,6 +101,8 @@ def measurement_of(raw: bytes) -> Measurement:
         raise MessageError(f"odometry cannot be read: {error}") from None
     except MessageError as error:
         raise MessageError(f"odometry {error}") from None
+    if not found.frame:
+        raise MessageError("odometry has no frame: set header.frame_id, as in 'odom'")
     (x, y, _), v, w = found.position, found.linear, found.angular
     if not all(map(math.isfinite, (x, y, v, w))):
         raise MessageError(f"odometry is not finite: x {x}, y {y}, v {v}, w {w}")

@@ -15,13 +15,21 @@ from rclpy.signals import SignalHandlerOptions
 
 from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.nodes.executor import DirectExecutor
+from adp_path_follower.nodes.log_output import unblocked_stderr
 from adp_path_follower.nodes.stop_request import StopRequest
 
 
 class RunnableNode(Protocol):
-    """What `run_node` asks of a node beyond rclpy's own."""
+    """What `run_node` asks of a node beyond rclpy's own.
+
+    Attributes:
+        finished: Whether it has nothing more to do.
+        failed: Whether that is because of an error that it has told of.
+
+    """
 
     finished: bool
+    failed: bool
 
     def lingers(self, elapsed: float) -> bool:
         """Return whether to go on for now, so long [s] after the node should have ended."""
@@ -34,6 +42,7 @@ class Ending:
     """How most nodes end: at once."""
 
     finished = False
+    failed = False
 
     def lingers(self, elapsed: float) -> bool:
         """Return False: there is nothing to wait for."""
@@ -49,6 +58,11 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
     0 after a regular end, 1 after an error while running, 2 if the node refused its settings.
     Errors are logged as one sentence.
     """
+    with unblocked_stderr():
+        return _run(name, make_node)
+
+
+def _run(name: str, make_node: Callable[[], Node]) -> int:
     stop = StopRequest()
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
@@ -56,11 +70,12 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
         print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return 2
     code = 0
-    node: Node | None = None
+    node: Any = None
     try:
         node = _made(make_node)
         try:
             _spin(node, stop)
+            code = int(node.failed)
         finally:
             if rclpy.ok():
                 node.last_words()  # before anything else that takes time, as logging does

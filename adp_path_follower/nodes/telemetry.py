@@ -112,7 +112,7 @@ class Telemetry:
             controller: Returns the present settings, for `debug_rate`.
 
         """
-        self._controller, self._period_told = controller, 0
+        self._node, self._controller, self._period_told = node, controller, 0
         self._kept = 0  # steps that were published for those who join late
         self._listeners_known_until = self._next_marker = 0.0
         self._lossless = lossless
@@ -132,11 +132,11 @@ class Telemetry:
         ]
         self._heard = self._steps  # those of them that somebody listens to
 
-    def destroy(self, node: Node) -> None:
+    def destroy(self) -> None:
         """Destroy the publishers."""
         others = (self._markers, self._configuration, self._diagnostics, self._status)
         for publisher in (*others, self._pose, *(publisher for publisher, _ in self._steps)):
-            node.destroy_publisher(publisher)
+            self._node.destroy_publisher(publisher)
 
     def step(
         self, time: int, frame: str, pose: FloatArray, output: FollowerOutput, cost: float

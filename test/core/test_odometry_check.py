@@ -12,16 +12,23 @@ from adp_path_follower.core.odometry_check import OdometryCheck
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
 
-CONTROLLER = build(Settings, {"odom_timeout": 0.5, "odom_jump_tolerance": 0.2}).controller
+FAST = {"odom_timeout": 0.5, "odom_jump_tolerance": 0.2, "max_linear_vel": 10.0}
+TUNING = build(Settings, {**FAST, "max_angular_vel": 5.0})
 SECOND = 1_000_000_000
 STILL = np.zeros(2)
 
 
-def told(check, stamp, pose, twist=STILL, frame="base_link", now=0.0, controller=CONTROLLER):
-    """Return the problem of a message at a time [s]."""
+def told(check, stamp, pose, twist=STILL, frame="base_link", now=0.0, tuning=TUNING):
+    """Return the problem of a message at a time [s], empty if there is none."""
+    problem = found(check, stamp, pose, twist, frame, now, tuning)
+    return "" if problem is None else problem.text
+
+
+def found(check, stamp, pose, twist=STILL, frame="base_link", now=0.0, tuning=TUNING):
+    """Return what the check finds."""
     return check.problem(
         *(round(now * SECOND), round(stamp * SECOND), np.array(pose, float), np.array(twist)),
-        *(frame, controller),
+        *(frame, tuning),
     )
 
 
@@ -52,7 +59,15 @@ def test_what_a_robot_can_do_is_no_fault(seed, period, fastest, noise):
         ({"stamp": 10.02, "pose": (0, 0, 0), "now": 11.0}, "0.98 s old by its stamp"),
         ({"stamp": 10.02, "pose": (0.3, 0, 0), "twist": (6.0, 0.0)}, ""),
         ({"stamp": 10.0, "pose": (0, 0, 0)}, ""),
-        ({"stamp": 11.0, "pose": (50, 0, 3)}, ""),  # after a gap anything may have happened
+        ({"stamp": 11.0, "pose": (10, 0, 3)}, ""),  # after a gap it may have driven on
+        ({"stamp": 11.0, "pose": (50, 0, 3)}, "came 1.0 s later, and is 50.00 m from where it was"),
+        ({"stamp": 3.0, "pose": (1, 0, 0)}, "went back in time, and is 1.00 m from where it was"),
+        ({"stamp": 10.02, "pose": (0, 0, 0), "now": 9.0}, "1.02 s ahead by its stamp"),
+        (
+            {"stamp": 10.02, "pose": (0, 0, 0), "twist": (50.0, 0)},
+            "50 m/s, and max_linear_vel is 10",
+        ),
+        ({"stamp": 10.02, "pose": (0, 0, 0), "twist": (0, 19.0)}, "19 rad/s, and max_angular_vel"),
         ({"stamp": 10.02, "pose": (0, 0, 0), "now": 10.03}, ""),
     ],
 )
@@ -76,6 +91,35 @@ def test_a_jump_clears_itself_and_another_robot_does_not():
 
 def test_any_jump_can_be_allowed():
     check = OdometryCheck()
-    allowing = build(Settings, {"odom_jump_tolerance": math.inf}).controller
-    told(check, 10.0, (0, 0, 0), controller=allowing)
-    assert told(check, 10.1, (500, 0, 3), controller=allowing) == ""
+    allowing = build(Settings, {"odom_jump_tolerance": math.inf})
+    told(check, 10.0, (0, 0, 0), tuning=allowing)
+    assert told(check, 10.1, (500, 0, 3), tuning=allowing) == ""
+    assert told(check, 20.0, (0, 0, 0), tuning=allowing) == ""
+
+
+def test_who_is_elsewhere_after_a_silence_waits_for_somebody_to_look():
+    for stamp in (11.0, 3.0):
+        check = OdometryCheck()
+        told(check, 10.0, (0, 0, 0))
+        assert found(check, stamp, (50, 0, 0)).lasts
+        assert found(check, stamp + 0.1, (50, 0, 0)) is None
+    check = OdometryCheck()
+    told(check, 10.0, (0, 0, 0))
+    assert not found(check, 10.1, (50, 0, 0)).lasts
+
+
+@pytest.mark.parametrize("period", [0.005, 0.02, 0.1])
+def test_small_steps_that_no_velocity_explains_add_up(period):
+    check = OdometryCheck()
+    problems = [told(check, 10.0 + n * period, (2.0 * n * period, 0, 0)) for n in range(100)]
+    first = next(index for index, problem in enumerate(problems) if problem)
+    # 2 m/s at a standstill: as soon as it comes to the tolerance of 0.2 m, and some forgetting.
+    assert 0.1 < first * period < 0.201
+    assert "that its velocity does not explain" in problems[first]
+
+
+def test_a_robot_may_be_as_fast_as_it_once_was_allowed():
+    check = OdometryCheck()
+    told(check, 10.0, (0, 0, 0), (20.0, 0.0))
+    slower = build(Settings, {**FAST, "max_linear_vel": 0.5})
+    assert told(check, 10.02, (0.4, 0, 0), (20.0, 0.0), tuning=slower) == ""

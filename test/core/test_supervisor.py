@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adp_path_follower.core.odometry_check import OdometryProblem
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State, Supervisor, deviation
@@ -13,15 +14,18 @@ TIMEOUT = 0.5
 EVENTS = [
     *("activate", "deactivate", "path", "no path", "odometry", "bad odometry", "wait"),
     *("long wait", "goal", "refused", "tick", "no clock", "clock", "stop", "resume", "too far"),
+    *("carried", "no limit", "limit", "renew"),
 ]
+SETTLED = 0.2
+BEGINNING = {"active": False, "path": False, "odometry": None, "problem": False, "goal": False}
+BEGINNING |= {"tick": None, "clock": True, "stopped": False, "deviated": False, "limit": True}
+BEGINNING |= {"sound_since": None}
 
 
 def played(events):
     """Return the supervisor after these events, the time, and what the history amounts to."""
     supervisor, now = Supervisor(TIMEOUT), 100.0
-    facts = {"active": False, "path": False, "odometry": None, "problem": "", "goal": False}
-    facts.update(tick=None, clock=True, stopped=False, deviated=False)
-    refused = False
+    facts, refused = dict(BEGINNING), False
     for event in events:
         if event in ("activate", "deactivate"):
             supervisor.active = facts["active"] = event == "activate"
@@ -32,12 +36,32 @@ def played(events):
             supervisor.path_removed()
             facts["path"] = False
         elif event in ("odometry", "bad odometry"):
-            problem = "pose is not finite" if event == "bad odometry" else ""
-            supervisor.odometry_received(now, problem)
-            facts.update(odometry=now, problem=problem)
+            if event == "bad odometry":
+                supervisor.odometry_received(now, OdometryProblem("pose is not finite"))
+                facts.update(problem=True, sound_since=None)
+            else:
+                supervisor.odometry_received(now)
+                if facts["sound_since"] is None:
+                    facts["sound_since"] = now
+                facts["problem"] &= now - facts["sound_since"] < SETTLED
+            facts["odometry"] = now
+            refused = False
+        elif event == "carried":
+            supervisor.odometry_received(now, OdometryProblem("it is elsewhere", lasts=True))
+            facts.update(odometry=now, problem=True, sound_since=None, deviated=True)
+            refused = False
+        elif event == "no limit":
+            supervisor.speed_limit_refused("speed limit is 0")
+            facts["limit"] = False
+        elif event == "limit":
+            supervisor.speed_limit_refused("")
+            facts["limit"] = True
+        elif event == "renew":
+            supervisor = supervisor.renewed()
+            facts.update({**BEGINNING, **{key: facts[key] for key in ("stopped", "deviated")}})
             refused = False
         elif event in ("wait", "long wait"):
-            now += 0.2 if event == "wait" else 0.6
+            now += 0.25 if event == "wait" else 0.6
         elif event == "goal":
             supervisor.goal_reached()
             facts["goal"] = True
@@ -73,6 +97,7 @@ def test_the_robot_moves_only_if_nothing_forbids_it(events, ready):
     sound = odometry is not None and not stale and not facts["problem"] and not facts["refused"]
     ticking = facts["tick"] is None or now - facts["tick"] <= TIMEOUT
     allowed = facts["clock"] and not facts["stopped"] and not facts["deviated"] and ticking
+    allowed = allowed and facts["limit"]
     may_move = facts["active"] and facts["path"] and sound and not facts["goal"] and allowed
     assert (status.state is State.FOLLOWING) == may_move
     assert bool(status.cause) == (status.state is not State.FOLLOWING)
@@ -92,7 +117,15 @@ READY = ["activate", "path", "odometry"]
         ([*READY, "long wait"], State.FAULT, "0.5 s"),
         ([*READY, "long wait", "odometry"], State.FOLLOWING, ""),
         ([*READY, "bad odometry"], State.FAULT, "pose is not finite"),
-        ([*READY, "bad odometry", "odometry"], State.FOLLOWING, ""),
+        ([*READY, "bad odometry", "odometry"], State.FAULT, "pose is not finite"),
+        ([*READY, "bad odometry", "odometry", "wait", "odometry"], State.FOLLOWING, ""),
+        ([*READY, *["bad odometry", "wait", "odometry"] * 3], State.FAULT, "pose is not finite"),
+        ([*READY, "carried", "odometry", "wait", "odometry"], State.FAULT, "elsewhere"),
+        ([*READY, "carried", "odometry", "wait", "odometry", "resume"], State.FOLLOWING, ""),
+        ([*READY, "no limit", "odometry"], State.FAULT, "speed limit is 0"),
+        ([*READY, "no limit", "limit"], State.FOLLOWING, ""),
+        ([*READY, "stop", "renew", *READY], State.STOPPED, "~/stop"),
+        ([*READY, "too far", "renew", *READY], State.FAULT, "2 m"),
         ([*READY, "refused"], State.FAULT, "command is not finite"),
         ([*READY, "refused", "odometry"], State.FOLLOWING, ""),
         ([*READY, "goal"], State.GOAL_REACHED, "end"),

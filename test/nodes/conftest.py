@@ -116,7 +116,7 @@ class Peer:
     def send_odometry(self, pose: tuple[float, float, float], **changes: Any) -> None:
         """Publish odometry of now.
 
-        `changes` replaces fields like x, qw or child_frame_id, to break them; `later` moves the
+        `changes` replaces fields like x, qw, v or child_frame_id, to break them; `later` moves the
         stamp [s], and `stamp` replaces it.
         """
         time = changes.pop("stamp", 1e-9 * self.node.get_clock().now().nanoseconds)
@@ -127,6 +127,8 @@ class Peer:
                 message.child_frame_id = value
             elif name == "frame_id":
                 message.header.frame_id = value
+            elif name == "v":
+                message.twist.twist.linear.x = value
             elif name.startswith("q"):
                 setattr(message.pose.pose.orientation, name[1:], value)
             else:

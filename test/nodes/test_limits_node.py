@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from conftest import Drive
 from geometry_msgs.msg import TwistStamped
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -76,16 +75,3 @@ def test_a_run_with_limits_stops_and_other_paths_keeps_them_and_replays(peer, st
     again = replay(run)
     assert again.answered.sum() > 300
     assert again.identical[again.answered].all()
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
-def test_a_speed_limit_that_is_none_is_refused(peer, start, value):
-    drive = Drive(peer, start)
-    limit = peer.node.create_publisher(Float64, "speed_limit", 1)
-    peer.until_matched(limit)
-    limit.publish(Float64(data=value))
-    peer.until(
-        lambda: "speed limit refused: setting 'speed_limit' is" in drive.controller.output(),
-        "the refusal",
-    )
-    drive.until_moving()

@@ -141,8 +141,9 @@ def test_a_run_by_timer_replays_through_all_that_changes(peer, start, tmp_path, 
     run = read_run(tmp_path / "bag")
     assert len(run.paths) == 2
     changes = [parse_configuration(text) for _, text in run.configurations]
-    assert [change.learning_resets for change in changes] == [0, 0, 0, 1]
-    assert [change.values["desired_speed"] for change in changes] == [0.5, 0.4, 0.4, 0.4]
+    assert [change.learning_resets for change in changes] == [0, 0, 0, 1, 1]
+    assert [change.stops for change in changes] == [0, 0, 0, 0, 1]  # the last words
+    assert [change.values["desired_speed"] for change in changes] == [0.5, *[0.4] * 4]
     found = replay(run)
     assert found.answered.sum() > 200
     assert found.identical[found.answered].all()

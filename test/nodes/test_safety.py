@@ -35,6 +35,9 @@ def silent_after_stop(drive: Drive) -> bool:
     ("broken", "cause"),
     [
         ({"later": -1.0}, "old by its stamp: are the clocks synchronised?"),
+        ({"later": 3600.0}, "ahead by its stamp: are the clocks synchronised?"),
+        ({"v": 50.0}, "odometry says 50 m/s, and max_linear_vel is 1"),
+        ({"frame_id": ""}, "odometry has no frame: set header.frame_id"),
         ({"child_frame_id": "other"}, "odometry is of 'other' now, and was of 'base_link'"),
     ],
 )
@@ -143,26 +146,33 @@ def test_a_clock_that_does_not_start_stands_still_or_jumps_back(peer, start):
 
 HANGING_CONTROLLER = """
 import sys, time
-from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.nodes import controller_process
+from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.nodes.path_input import PathInput
+from adp_path_follower.nodes.telemetry import Telemetry
 
-step_at, steps = PathFollower.step_at, []
+OWNER, NAME = {owner}, "{name}"
+works, calls = getattr(OWNER, NAME), []
 
-def hanging(self, pose, stamp, learn=True):
-    steps.append(stamp)
-    if len(steps) == 50:
+def hanging(*arguments, **named):
+    calls.append(None)
+    if len(calls) == 50:
         time.sleep(3.0)
-    return step_at(self, pose, stamp, learn)
+    return works(*arguments, **named)
 
-PathFollower.step_at = hanging
+setattr(OWNER, NAME, hanging)
 sys.exit(controller_process.main())
 """
 
 
-def test_a_learner_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_path):
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [("PathFollower", "step_at"), ("PathInput", "odometry_in"), ("Telemetry", "step")],
+)
+def test_a_node_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_path, owner, name):
     commands = peer.listen(TwistStamped, "cmd_vel")
     log = tmp_path / "hanging.log"
-    with running_script(HANGING_CONTROLLER, domain, log):
+    with running_script(HANGING_CONTROLLER.format(owner=owner, name=name), domain, log):
         peer.until_matched(peer.odometry, peer.path)
         peer.send_path()
         peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))

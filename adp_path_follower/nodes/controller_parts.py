@@ -1,0 +1,39 @@
+"""What the controller node consists of between configuration and cleanup."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from adp_path_follower.nodes.commands import Commands
+from adp_path_follower.nodes.odometry_input import OdometryInput
+from adp_path_follower.nodes.path_input import PathInput
+from adp_path_follower.nodes.speed_limit_input import SpeedLimitInput
+from adp_path_follower.nodes.telemetry import Telemetry
+from adp_path_follower.nodes.watchdog import Watchdog
+
+
+@dataclass(frozen=True)
+class ControllerParts:
+    """Publishers, subscriptions, services and timers of a configured controller.
+
+    Attributes:
+        entities: Pairs of what destroys something of the node, and that.
+
+    """
+
+    commands: Commands
+    telemetry: Telemetry
+    odometry: OdometryInput
+    path: PathInput
+    speed_limit: SpeedLimitInput
+    watchdog: Watchdog
+    entities: list[tuple[Any, Any]]
+
+    def destroy(self) -> None:
+        """Destroy all of it; what tells the robot to stop goes last."""
+        for destroy, entity in self.entities:
+            destroy(entity)
+        for part in (self.watchdog, self.speed_limit, self.odometry, self.path, self.telemetry):
+            part.destroy()
+        self.commands.destroy()

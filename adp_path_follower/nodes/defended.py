@@ -1,0 +1,59 @@
+"""What rclpy leaves to chance: clients' mistakes, and transitions that fail."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+
+# What rclpy raises where a client is wrong. All else is a defect of ours, which ends the node.
+_CLIENTS_MISTAKES = ("Transition is not registered", "is not a valid Parameter.Type")
+
+
+def told_if_it_fails(transition: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a lifecycle callback that logs its exception, which rclpy keeps to itself."""
+
+    @functools.wraps(transition)
+    def attempt(node: Any, state: Any) -> Any:
+        try:
+            return transition(node, state)
+        except Exception as error:
+            text = " ".join(str(error).split())
+            node.get_logger().fatal(
+                f"{transition.__name__} failed, stopping: {type(error).__name__}: {text}"
+            )
+            raise
+
+    return attempt
+
+
+def defend_services(node: Node) -> None:
+    """Refuse what clients must not ask of the services that the node has now.
+
+    rclpy raises for transitions that there are not from the present state, and for values of a type
+    that it does not know.
+    """
+    for service in node.services:
+        service.callback = _defended(service.callback, service.srv_name, node)
+
+
+def _defended(callback: Callable[..., Any], name: str, node: Node) -> Callable[..., Any]:
+    def answer(request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:
+            if not any(mistake in str(error) for mistake in _CLIENTS_MISTAKES):
+                raise
+            reason = " ".join(str(error).split()).split(", at /")[0]
+            node.get_logger().error(f"{name} refused: {reason}")
+            if hasattr(response, "results"):  # one for each parameter
+                refused = SetParametersResult(successful=False, reason=reason)
+                response.results = [refused] * len(request.parameters)
+            elif hasattr(response, "result"):  # for all of them
+                response.result = SetParametersResult(successful=False, reason=reason)
+            return response
+
+    return answer

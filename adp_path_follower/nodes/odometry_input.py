@@ -1,0 +1,66 @@
+"""The topic `odom`: what comes in is read, checked, and taken or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+
+from adp_path_follower.core.odometry_check import OdometryCheck, OdometryProblem
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.nodes.conversions import Measurement, MessageError, measurement_of
+
+
+class OdometryInput:
+    """Keeps the last sound measurement.
+
+    Attributes:
+        measurement: It, None before the first.
+
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        settings: Callable[[], Settings],
+        take: Callable[[Measurement], None],
+        refuse: Callable[[OdometryProblem], None],
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            node: The controller.
+            settings: Returns what to check messages by.
+            take: Called with each sound measurement.
+            refuse: Called with what is wrong with a message.
+
+        """
+        self.measurement: Measurement | None = None
+        self._node, self._settings = node, settings
+        self._take, self._refuse = take, refuse
+        self._check = OdometryCheck()
+        self._subscription = node.create_subscription(
+            Odometry, "odom", self._receive, qos_profile_sensor_data, raw=True
+        )
+
+    def destroy(self) -> None:
+        """End the subscription."""
+        self._node.destroy_subscription(self._subscription)
+
+    def _receive(self, raw: bytes) -> None:
+        try:
+            found = measurement_of(raw)
+        except MessageError as error:
+            self._refuse(OdometryProblem(str(error)))
+            return
+        now = int(self._node.get_clock().now().nanoseconds)
+        problem = self._check.problem(
+            *(now, found.stamp, found.pose, found.twist, found.child_frame, self._settings())
+        )
+        if problem is not None:
+            self._refuse(problem)
+            return
+        self.measurement = found
+        self._take(found)
