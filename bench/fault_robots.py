@@ -85,3 +85,30 @@ class Bench:
             finally:
                 process.kill()
                 peer.close()
+
+
+class Alternating:
+    """Makes every second message of a drive's odometry wrong."""
+
+    def __init__(self, drive: Drive) -> None:
+        """Take the drive."""
+        self._drive, self._wrong = drive, False
+        self._timer: Any = None
+
+    def begin(self) -> None:
+        """Send wrong odometry at once, then sound, then wrong odometry, and so on."""
+        self._drive.odometry = None
+        self._wrong = False
+        self._send()
+        self._timer = self._drive.peer.node.create_timer(0.02, self._send)
+
+    def end(self) -> None:
+        """Send nothing but sound odometry."""
+        self._drive.peer.node.destroy_timer(self._timer)
+        self._drive.odometry = {}
+
+    def _send(self) -> None:
+        self._wrong = not self._wrong
+        self._drive.peer.send_odometry(
+            (0.0, 0.1, 0.0), **({"x": float("nan")} if self._wrong else {})
+        )

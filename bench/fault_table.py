@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 AGAIN = "goes on with the next sound message"
+SETTLED = "goes on after 0.2 s of sound messages"
 # How each fault is injected, what the robot does after zero velocity, and which test does the same.
 # A test compares the names with docs/safety.md.
 FAULTS = {
-    "odometry is not a number": ("x is NaN", AGAIN, "bad_odometry_stops_the_robot"),
-    "odometry is infinite": ("y is infinite", AGAIN, "bad_odometry_stops_the_robot"),
-    "orientation of zero norm": ("z = w = 0", AGAIN, "bad_odometry_stops_the_robot"),
-    "odometry is 1 s old by its stamp": ("stamps 1 s back", AGAIN, "odometry_that_stays_wrong"),
-    "odometry stamps go back": ("stamps 0.3 s back", AGAIN, "one_message_that_cannot_be"),
-    "odometry of another robot frame": ("child_frame_id", AGAIN, "odometry_that_stays_wrong"),
+    "odometry is not a number": ("x is NaN", SETTLED, "bad_odometry_stops_the_robot"),
+    "odometry is infinite": ("y is infinite", SETTLED, "bad_odometry_stops_the_robot"),
+    "orientation of zero norm": ("z = w = 0", SETTLED, "bad_odometry_stops_the_robot"),
+    "every second message is wrong": ("x is NaN", SETTLED, "wrong_odometry_now_and_then"),
+    "odometry is 1 s old by its stamp": ("stamps 1 s back", SETTLED, "odometry_that_stays_wrong"),
+    "odometry is an hour ahead": ("stamps 1 h ahead", SETTLED, "odometry_that_stays_wrong"),
+    "odometry stamps go back": ("stamps 0.3 s back", SETTLED, "one_message_that_cannot_be"),
+    "odometry says 50 m/s": ("v", SETTLED, "odometry_that_stays_wrong"),
+    "odometry of another robot frame": ("child_frame_id", SETTLED, "odometry_that_stays_wrong"),
+    "odometry without a frame": ("frame_id is empty", SETTLED, "odometry_that_stays_wrong"),
     "odometry in another frame": (
         "frame_id",
         "waits for a path in it",
         "odometry_in_another_frame",
     ),
-    "odometry jumps by 3 m": ("x + 3 m", AGAIN, "one_message_that_cannot_be"),
-    "odometry turns by half a turn": ("heading + pi", AGAIN, "one_message_that_cannot_be"),
+    "odometry jumps by 3 m": ("x + 3 m", SETTLED, "one_message_that_cannot_be"),
+    "odometry turns by half a turn": ("heading + pi", SETTLED, "one_message_that_cannot_be"),
     "odometry ends (timeout 0.5 s)": ("no more messages", AGAIN, "bad_odometry_stops_the_robot"),
     "the odometry source stalls (timeout 0.5 s)": (
         "kill -STOP of the simulator",
@@ -35,9 +40,14 @@ FAULTS = {
         "goes on with the clock",
         "a_clock_that_does_not_start",
     ),
-    "/clock goes back": ("/clock and stamps 0.3 s back", AGAIN, "a_clock_that_does_not_start"),
+    "/clock goes back": ("/clock and stamps 0.3 s back", SETTLED, "a_clock_that_does_not_start"),
     "an empty path": ("a path without poses", "waits for a path", "an_empty_path_stops"),
     "~/stop": ("the service", "waits for ~/resume", "stop_and_resume"),
+    "a speed limit of 0": (
+        "the topic speed_limit",
+        "goes on with a limit above 0",
+        "a_speed_limit_that_cannot_hold",
+    ),
     "max_cross_track_error": ("y + 0.1 m", "waits for ~/resume", "too_far_from_the_path"),
     "max_heading_error": ("heading + 0.5 rad", "waits for ~/resume", "turned_too_far"),
     "deactivate": ("lifecycle transition", "waits for activate", "a_lifecycle_transition_stops"),
@@ -51,10 +61,20 @@ FAULTS = {
         "the process ends with code 1",
         "an_exception_in_a_callback",
     ),
+    "a transition that fails": (
+        "a defective controller",
+        "the process ends with code 1",
+        "a_transition_that_fails",
+    ),
     "a control step that hangs (timeout 0.5 s)": (
         "a defective controller",
-        "goes on with the next step",
-        "a_learner_that_hangs",
+        "goes on when it does",
+        "a_node_that_hangs",
+    ),
+    "anything else that hangs (timeout 0.5 s)": (
+        "a defective controller",
+        "goes on when it does",
+        "a_node_that_hangs",
     ),
     "the controller stalls (command_timeout 0.5 s)": (
         "kill -STOP",
@@ -75,7 +95,9 @@ GROUPS = {
     + ["the controller dies (command_timeout 0.5 s)"],
     "final": [
         *("SIGINT", "SIGTERM", "SIGHUP", "shutdown", "the launcher dies"),
-        *("an exception in a callback", "a control step that hangs (timeout 0.5 s)"),
+        *("an exception in a callback", "a transition that fails"),
+        "a control step that hangs (timeout 0.5 s)",
+        "anything else that hangs (timeout 0.5 s)",
     ],
 }
 GROUPS["recoverable"] = [

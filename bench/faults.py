@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from fault_robots import Bench  # before the next, which it makes known
+from fault_robots import Alternating, Bench  # before the next, which it makes known
 from fault_table import GROUPS, table
 
 # isort: split
@@ -33,22 +33,27 @@ from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Path as PathMessage
-from std_msgs.msg import Header
+from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
 from test_controller_node import BROKEN_CONTROLLER
+from test_left_alone import DEFECTIVE_TRANSITION
 from test_other_processes import Team
 from test_safety import HANGING_CONTROLLER, SimulatedTime
 
 from adp_path_follower.nodes.processes import own_domain
 
 NAN, INFINITE = float("nan"), float("inf")
+_DEACTIVATE = Transition.TRANSITION_DEACTIVATE
 ODOMETRY = {
     "odometry is not a number": {"x": NAN},
     "odometry is infinite": {"y": INFINITE},
     "orientation of zero norm": {"qw": 0.0, "qz": 0.0},
     "odometry is 1 s old by its stamp": {"later": -1.0},
+    "odometry is an hour ahead": {"later": 3600.0},
     "odometry stamps go back": {"later": -0.3},
+    "odometry says 50 m/s": {"v": 50.0},
     "odometry of another robot frame": {"child_frame_id": "other"},
+    "odometry without a frame": {"frame_id": ""},
     "odometry jumps by 3 m": {"x": 3.0},
     "odometry turns by half a turn": {"qz": 1.0, "qw": 0.0},
 }
@@ -92,6 +97,8 @@ def recoverable(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
                 injected(drive, lambda values=values: feed(dict(values)), lambda: feed({}), runs),
             )
 
+        wrong = Alternating(drive)
+        yield "every second message is wrong", injected(drive, wrong.begin, wrong.end, runs)
         yield (
             "odometry ends (timeout 0.5 s)",
             injected(drive, lambda: feed(None), lambda: feed({}), runs),
@@ -110,6 +117,17 @@ def recoverable(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
                 drive,
                 lambda: stop.call_async(Trigger.Request()) and None,
                 lambda: peer.call(Trigger, "path_follower/resume") and None,
+                runs,
+            ),
+        )
+
+        limit = peer.node.create_publisher(Float64, "speed_limit", 1)
+        yield (
+            "a speed limit of 0",
+            injected(
+                drive,
+                lambda: limit.publish(Float64(data=0.0)),
+                lambda: limit.publish(Float64(data=1.0)),
                 runs,
             ),
         )
@@ -279,7 +297,12 @@ def final(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
     yield name, times
     defects = {
         "an exception in a callback": BROKEN_CONTROLLER,
-        "a control step that hangs (timeout 0.5 s)": HANGING_CONTROLLER,
+        "a control step that hangs (timeout 0.5 s)": HANGING_CONTROLLER.format(
+            owner="PathFollower", name="step_at"
+        ),
+        "anything else that hangs (timeout 0.5 s)": HANGING_CONTROLLER.format(
+            owner="PathInput", name="odometry_in"
+        ),
     }
     for name, code in defects.items():
         times = []
@@ -287,10 +310,19 @@ def final(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
             with bench.defective(code) as peer:
                 times.append(_from_last_motion(peer))
         yield name, times
+    name, times = "a transition that fails", []
+    code = DEFECTIVE_TRANSITION.format(owner="Telemetry", name="deliver_status")
+    for _ in range(runs if bench.wanted(name) else 0):
+        with bench.defective(code) as peer:
+            times.append(_from_last_motion(peer, lambda to: _transition(to, _DEACTIVATE)))
+    yield name, times
 
 
-def _from_last_motion(peer: Peer) -> float:
-    """Return the time from the last command to move until zero velocity [s]."""
+def _from_last_motion(peer: Peer, inject: Callable[[Peer], None] | None = None) -> float:
+    """Return the time from the last command to move until zero velocity [s].
+
+    A defect that does not come by itself is injected after some motion.
+    """
     last = time.monotonic()
     stopped = 0.0
 
@@ -309,6 +341,10 @@ def _from_last_motion(peer: Peer) -> float:
     peer.node.create_subscription(TwistStamped, "cmd_vel", take, 100)
     peer.send_path()
     peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+    if inject is not None:
+        peer.until(moved, "motion")
+        peer.spin(0.5)
+        inject(peer)
     peer.until(lambda: stopped, "zero velocity")
     return stopped - last
 
