@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 import re
 from pathlib import Path
 
@@ -162,6 +164,8 @@ BAD_INPUT = [
     (["good", "--cmd", "/odom"], "topic /odom of bag {folder}/good has the type nav_msgs"),
     (["good", "--require", "speed<1"], "--require 'speed<1' names no metric"),
     (["good", "--out", "good"], "output good holds files already"),
+    (["good", "--out", "/proc/report"], "output /proc/report cannot be made: No such file"),
+    (["good", "--out", "long" * 75], "cannot be made: File name too long"),
     (["pathless"], "has no path: name a topic of nav_msgs/msg/Path by --path"),
     (["lost"], "has no odometry: name a topic of nav_msgs/msg/Odometry by --odom"),
     (["point"], "no path that can be followed: path has 1 distinct points"),
@@ -192,6 +196,18 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, arguments, expected):
     assert expected.format(folder=folder) in done.stderr
     assert "Traceback" not in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_full_disk_is_one_sentence(folder, tmp_path, monkeypatch):
+    from adp_path_follower.analysis import report
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(report, "write_page", full)
+    done = adp("analyze", str(folder / "good"), "--out", "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "adp: output out cannot be written: No space left on device\n"
 
 
 def test_help_teaches(tmp_path):

@@ -48,6 +48,11 @@ def test_a_process_of_its_own_says_the_same(tmp_path, arguments, code, words):
         assert done.stderr.splitlines()[-1] == here.stderr.splitlines()[-1]
 
 
+def test_what_the_operating_system_refuses_is_one_sentence(tmp_path):
+    done = adp("simulate", "--duration", "0.1", "--json", "/dev/full", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (2, "adp: No space left on device\n")
+
+
 def test_help_teaches():
     overview = adp("--help")
     assert overview.returncode == 0

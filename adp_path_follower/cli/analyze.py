@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import FILE, new_directory, progress_bar, write_json
+from adp_path_follower.cli.options import FILE, new_directory, progress_bar, write_json, writing
 
 if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to report
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
@@ -72,21 +72,16 @@ def analyze(
         directory or Path(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
     )
     analyses: list[BagAnalysis] = []
-    for number, bag in enumerate(bags, start=1):
-        with progress_bar(f"reading {bag.name}") as progress:
+    with writing(directory):
+        for number, bag in enumerate(bags, start=1):
             file = "trajectory.tum" if len(bags) == 1 else f"trajectory_{number}.tum"
-            analyses.append(
-                analyse_bag(
-                    bag.resolve(),
-                    names,
-                    len(bags),
-                    directory / file,
-                    progress,
+            with progress_bar(f"reading {bag.name}") as progress:
+                analyses.append(
+                    analyse_bag(bag.resolve(), names, len(bags), directory / file, progress)
                 )
-            )
-    draw_bags(analyses, directory / "figures")
-    write_json(directory / "metrics.json", _numbers(analyses, limits))
-    write_report(analyses, limits, directory / "report.html")
+        draw_bags(analyses, directory / "figures")
+        write_json(directory / "metrics.json", _numbers(analyses, limits))
+        write_report(analyses, limits, directory / "report.html")
     click.echo(_table(analyses))
     for note in dict.fromkeys(f"{item.name}: {note}" for item in analyses for note in item.notes):
         click.echo(f"adp: {note}", err=True)

@@ -89,6 +89,10 @@ def main() -> None:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone: nobody to tell
         code = 141
+    except OSError as error:  # what no command has foreseen: a disk that is full, or goes
+        where = "" if error.filename is None else f"file {error.filename}: "
+        click.echo(f"adp: {where}{error.strerror or error}", err=True)
+        code = 2
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import click
 import numpy as np
 
-from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings
@@ -149,8 +149,10 @@ def collect_starts(
 @contextlib.contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
     """Show a progress bar to people, nothing to a log; yields what takes the fraction done."""
-    shown = label if sys.stderr.isatty() else None
-    with click.progressbar(length=1000, label=shown, file=sys.stderr) as bar:
+    if not sys.stderr.isatty():  # click would leave an empty line
+        yield lambda fraction: None
+        return
+    with click.progressbar(length=1000, label=label, file=sys.stderr) as bar:
 
         def progress(fraction: float) -> None:
             bar.update(int(1000 * fraction) - bar.pos)
@@ -188,11 +190,32 @@ def new_directory(directory: Path) -> Path:
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
             raise FileError(f"output {directory} holds files already: give a new directory")
+    except FileError:
+        raise
     except (FileExistsError, NotADirectoryError):
         raise FileError(f"output {directory} is a file: give a directory") from None
-    except PermissionError:
-        raise FileError(f"output {directory} cannot be made: permission denied") from None
+    except OSError as error:
+        raise FileError(f"output {directory} cannot be made: {error.strerror}") from None
     return directory
+
+
+@contextlib.contextmanager
+def writing(output: Path) -> Iterator[None]:
+    """Say in one sentence why what is written in the block could not be.
+
+    The operating system names no file where it is the disk that is full.
+
+    Raises:
+        FileError: The block raised an OSError.
+
+    """
+    try:
+        yield
+    except (AdpError, BrokenPipeError):
+        raise
+    except OSError as error:
+        where = error.filename or output
+        raise FileError(f"output {where} cannot be written: {error.strerror}") from None
 
 
 def write_json(file: Path, content: object) -> None:

@@ -20,6 +20,7 @@ from adp_path_follower.cli.options import (
     new_directory,
     progress_bar,
     settings_options,
+    writing,
 )
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
@@ -98,17 +99,20 @@ def replay(
         found = replay_run(run, settings)
         click.echo(_report(found, run, settings is not None))
     if csv_file is not None:
-        _write_csv(found, csv_file)
+        with writing(csv_file):
+            _write_csv(found, csv_file)
     if figure_file is not None:
         from adp_path_follower.analysis.figures import draw_replay
 
-        draw_replay(found, figure_file)
+        with writing(figure_file):
+            draw_replay(found, figure_file)
     if directory is not None or closed_loop or settings is not None:
         name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
         directory = new_directory(directory or Path(name))
         replayed = directory / f"{bag.resolve().stem}_replayed"
-        write_replay(found, bag, run.topics, replayed, velocity)
-        _write_report(bag, replayed)
+        with writing(directory):
+            write_replay(found, bag, run.topics, replayed, velocity)
+            _write_report(bag, replayed)
     answered = found.answered
     differs = settings is None and not closed_loop and not found.identical[answered].all()
     sys.exit(1 if differs else 0)

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torn_bags
+from commands import adp
 
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.replay import replay, steps_of
@@ -77,3 +78,12 @@ def test_poses_of_a_path_that_is_not_in_the_bag_are_refused(bag, tmp_path):
     other = text.replace(digest, "0" * len(digest))
     with pytest.raises(FileError, match="has not the path 0000"):
         replay(dataclasses.replace(again, configurations=((time, other),)))
+
+
+# The command
+
+
+def test_a_full_disk_is_one_sentence(bag, tmp_path):
+    done = adp("replay", str(bag), "--csv", "/dev/full", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "adp: output /dev/full cannot be written: No space left on device\n"
