@@ -139,8 +139,10 @@ def _republish(bag: Path, run: Run, rate: float) -> None:
         if key not in run.topics:
             raise AdpError(f"bag {bag} has no topic '{key}': nothing to play")
     with progress_bar("playing") as progress:
-        count = republish(bag, run.topics, rate, progress)
+        count, damaged = republish(bag, run.topics, rate, progress)
     click.echo(f"played {count} messages")
+    if damaged:
+        click.echo(f"adp: {damaged} messages cannot be decoded: passed over", err=True)
 
 
 def _write_csv(found: Replay, file: Path) -> None:

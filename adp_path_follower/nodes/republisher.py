@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as steady
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +37,10 @@ def republish(
     topics: Mapping[str, str],
     rate: float,
     progress: Callable[[float], None],
-) -> int:
-    """Publish /clock, odometry and path as they were recorded; return how many messages.
+) -> tuple[int, int]:
+    """Publish /clock, odometry and path as they were recorded.
 
-    Time is that of the odometry's stamps. Ends early, but in order, on Ctrl-C.
+    Time is that of the odometry's stamps.
 
     Args:
         bag: The bag.
@@ -48,18 +48,18 @@ def republish(
         rate: Seconds of the bag in one second.
         progress: Called with the fraction done.
 
+    Returns:
+        How many messages were published, and how many not because they cannot be decoded.
+
     Raises:
-        AdpError: No controller listens.
+        AdpError: No controller listens, or no odometry can be decoded.
 
     """
-    with Reader(bag) as reader:
-        messages = list(_messages(reader, topics))
+    messages, damaged = recorded_messages(bag, topics)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("adp_replay")
     try:
-        return _Player(node).play(messages, rate, progress)
-    except KeyboardInterrupt:
-        return 0
+        return _Player(node).play(messages, rate, progress), damaged
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
@@ -147,24 +147,49 @@ class _Player:
             rclpy.spin_once(self._node, timeout_sec=0.1)
 
 
-def _messages(reader: Reader, topics: Mapping[str, str]) -> Iterator[tuple[int, str, Any]]:
-    """Yield the messages by the clock of the odometry, a path at the latest with the odometry."""
-    keys = {topic: key for key, topic in topics.items() if key in _TYPES}
-    found = [
-        (arrival, keys[item.topic], deserialize_message(bytes(raw), _TYPES[keys[item.topic]]))
-        for item, arrival, raw in reader.messages(
-            [item for item in reader.connections if item.topic in keys]
-        )
-    ]
+def recorded_messages(
+    bag: Path, topics: Mapping[str, str]
+) -> tuple[list[tuple[int, str, Any]], int]:
+    """Return the odometry and the paths of a bag in the order to publish them in.
+
+    Args:
+        bag: The bag.
+        topics: "odom" and "path" -> their topics in it.
+
+    Returns:
+        Time [ns], key and message of each, by the clock of the odometry, a path at the latest with
+        the odometry; and how many messages cannot be decoded.
+
+    Raises:
+        AdpError: No odometry can be decoded.
+
+    """
+    found, damaged = _decoded(bag, {topics[key]: key for key in _TYPES})
     odometry = [(arrival, message) for arrival, key, message in found if key == "odom"]
+    if not odometry:
+        raise AdpError(f"bag {bag} has no odometry on {topics['odom']} that can be decoded")
     arrivals = np.array([arrival for arrival, _ in odometry])
-    stamps = np.array([stamp_nanoseconds(message.header) for _, message in odometry])
+    stamps = [stamp_nanoseconds(message.header) for _, message in odometry]
     timed = []
     for arrival, key, message in found:
         if key == "odom":
             timed.append((stamp_nanoseconds(message.header), key, message))
         else:
             place = min(int(np.searchsorted(arrivals, arrival)), len(stamps) - 1)
-            timed.append((int(stamps[place]), key, message))
+            timed.append((stamps[place], key, message))
     # At the same time the path first, for it is what the odometry is answered by.
-    yield from sorted(timed, key=lambda item: (item[0], item[1] == "odom"))
+    return sorted(timed, key=lambda item: (item[0], item[1] == "odom")), damaged
+
+
+def _decoded(bag: Path, keys: Mapping[str, str]) -> tuple[list[tuple[int, str, Any]], int]:
+    """Return arrival [ns], key and message of topics -> keys, and how many are damaged."""
+    found, damaged = [], 0
+    with Reader(bag) as reader:
+        connections = [item for item in reader.connections if item.topic in keys]
+        for item, arrival, raw in reader.messages(connections):
+            key = keys[item.topic]
+            try:
+                found.append((arrival, key, deserialize_message(bytes(raw), _TYPES[key])))
+            except Exception:  # rclpy has no error of its own for a message that is cut
+                damaged += 1
+    return found, damaged

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_messages import odometry, path_message, raw
 from geometry_msgs.msg import Twist, TwistStamped
 from std_srvs.srv import Trigger
 
@@ -16,10 +17,13 @@ from adp_path_follower.bags.configuration import configuration_text, parse_confi
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.replay import replay
 from adp_path_follower.bags.rerun import rerun
+from adp_path_follower.bags.writer import BagWriter
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.nodes.closed_loop import run_closed_loop
+from adp_path_follower.nodes.republisher import recorded_messages
 from adp_path_follower.simulation import PAPER_START
 
 pytestmark = pytest.mark.nodes
@@ -174,6 +178,27 @@ def test_a_live_controller_answers_the_odometry_of_a_bag(bag, peer, start, domai
     assert len(mine) == len(new.stamp) > 50
     assert np.array_equal(new.pose[theirs], old.series["odom"].values[first[mine], :3])
     assert new.replayed.any(axis=1).all()
+
+
+def test_messages_that_are_cut_are_not_played(tmp_path):
+    writer = BagWriter(tmp_path / "bag")
+    kinds = {"odom": "nav_msgs/msg/Odometry", "path": "nav_msgs/msg/Path"}
+    topics = {key: writer.add_topic(f"/{key}", kind) for key, kind in kinds.items()}
+    for step in range(1, 6):
+        content = raw(odometry(step, 0.1 * step, 0.0, 0.0))
+        writer.write(topics["odom"], content[:-100] if step in (1, 4) else content, step, step)
+        if step == 2:
+            path = raw(path_message([(0.0, 0.0), (1.0, 0.0)]))
+            writer.write(topics["path"], path, step, step)
+    writer.close()
+    names = {key: f"/{key}" for key in kinds}
+    messages, damaged = recorded_messages(tmp_path / "bag", names)
+    assert damaged == 2
+    assert [(time, key) for time, key, _ in messages] == [
+        *((2, "path"), (2, "odom"), (3, "odom"), (5, "odom")),
+    ]
+    with pytest.raises(AdpError, match="no odometry on /path that can be decoded"):
+        recorded_messages(tmp_path / "bag", {"odom": "/path", "path": "/odom"})
 
 
 def test_nobody_to_play_to_and_nothing_to_play_are_one_sentence(bag, tmp_path):
