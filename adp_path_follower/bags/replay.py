@@ -91,26 +91,6 @@ class Replay:
         """Return the follower's commands [v, w], shape (N, 2)."""
         return np.array([output.command for output in self.outputs])
 
-    def identical_weights(self, run: Run) -> np.ndarray | None:
-        """Return for each recorded set of weights whether it comes out the same to the last bit.
-
-        Critic weights first, then the actor's. None where it is not known which steps they belong
-        to: weights carry no stamp, and only at its beginning may a recording lack some.
-        """
-        parts = []
-        for key in ("critic", "actor"):
-            series = run.series.get(f"{key}_weights")
-            count = 0 if series is None else len(series.stamp)
-            if series is None or count > len(self.outputs):
-                return None
-            found = np.array([getattr(output.weights, key) for output in self.outputs[-count:]])
-            if found.shape != series.values.shape:
-                return None
-            parts.append((found == series.values).all(axis=1))
-            if count < len(self.outputs) and not parts[-1].all():
-                return None
-        return np.concatenate(parts)
-
 
 def replay(run: Run, settings: Settings | None = None) -> Replay:
     """Replay a run with the steps, the paths and the changes of parameters that it had.

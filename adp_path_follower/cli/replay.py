@@ -14,6 +14,7 @@ from adp_path_follower.bags.replay import Replay, recorded_settings
 from adp_path_follower.bags.replay import replay as replay_run
 from adp_path_follower.bags.replay_bag import write_replay
 from adp_path_follower.bags.rerun import rerun
+from adp_path_follower.bags.weight_comparison import ComparedWeights, compare_weights
 from adp_path_follower.cli.options import (
     FILE,
     check_writable,
@@ -74,9 +75,10 @@ def replay(
     r"""Feed a bag's odometry and path to the controller again.
 
     With the recorded parameters, every command and every weight must come out the same to the last
-    bit; exit code 1 if one does not. With others it tells what the controller would have commanded,
-    had the robot moved as it did, and with --closed-loop how the robot would have moved: in a bag,
-    and in a report that lays both over each other.
+    bit; exit code 1 if one does not, with a line that says when and by how much it first differs.
+    With others it tells what the controller would have commanded, had the robot moved as it did,
+    and with --closed-loop how the robot would have moved: in a bag, and in a report that lays both
+    over each other.
 
     \b
     The same again:           adp replay adp_demo_.../bag
@@ -91,13 +93,16 @@ def replay(
         return
     settings = _settings(run, params, assignments)
     velocity: FloatArray | None = None
+    differs = False
     if closed_loop:
         if csv_file or figure_file:
             raise AdpError("--csv and --figure compare commands step by step: not --closed-loop")
         found, velocity = rerun(run, settings)
     else:
         found = replay_run(run, settings)
-        click.echo(_report(found, run, settings is not None))
+        weights = compare_weights(run, found)
+        click.echo(_report(found, weights, settings is not None))
+        differs = settings is None and _differs(found, weights)
     if csv_file is not None:
         with writing(csv_file):
             _write_csv(found, csv_file)
@@ -113,8 +118,6 @@ def replay(
         with writing(directory):
             write_replay(found, bag, run.topics, replayed, velocity)
             _write_report(bag, replayed)
-    answered = found.answered
-    differs = settings is None and not closed_loop and not found.identical[answered].all()
     sys.exit(1 if differs else 0)
 
 
@@ -146,8 +149,7 @@ def _republish(bag: Path, run: Run, rate: float) -> None:
 
 
 def _write_csv(found: Replay, file: Path) -> None:
-    time = (found.stamp - found.stamp[0]) * 1e-9
-    table = np.column_stack([time, found.recorded, found.replayed])
+    table = np.column_stack([_seconds(found), found.recorded, found.replayed])
     header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
     np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.17g")
 
@@ -170,30 +172,49 @@ def _write_report(bag: Path, replayed: Path) -> None:
     click.echo(f"In {directory}: report.html, {replayed.name}/ (rosbag2, MCAP), trajectory_*.tum")
 
 
-def _report(found: Replay, run: Run, changed: bool) -> str:
+def _report(found: Replay, weights: ComparedWeights, changed: bool) -> str:
     """Return how recorded and replayed commands and weights compare."""
-    answered = found.answered
-    if not answered.any():
-        return f"{len(answered)} steps replayed; the bag has no commands to compare with"
-    same = found.identical[answered]
-    lines = [f"{int(same.sum())} of {len(same)} commands are identical to the last bit"]
-    weights = found.identical_weights(run)
-    if weights is not None and not changed:
-        lines.append(f"{int(weights.sum())} of {len(weights)} sets of weights are, too")
+    same = found.identical[found.answered]
+    if not len(same):
+        lines = [f"{len(found.stamp)} steps replayed; the bag has no commands to compare with"]
+    else:
+        lines = [f"{int(same.sum())} of {len(same)} commands are identical to the last bit"]
     if not same.all():
         lines += _differences(found)
-        if not changed:
-            lines.append(
-                "the parameters are the recorded ones: the bag is of another version, or was "
-                "damaged"
-            )
+    if changed:  # then other weights are what was asked for
+        return "\n".join(lines)
+    if len(weights.identical):
+        count, total = int(weights.identical.sum()), len(weights.identical)
+        lines.append(f"{count} of {total} sets of weights are, too")
+    if weights.first is not None:
+        first = weights.first
+        lines.append(
+            f"first difference of weights after {_seconds(found)[first.step]:.3f} s: {first.name} "
+            f"is recorded as {first.recorded:.6g}, replayed as {first.replayed:.6g}, "
+            f"{abs(first.replayed - first.recorded):.3g} apart"
+        )
+    lines += weights.notes
+    if _differs(found, weights):
+        lines.append(
+            "the parameters are the recorded ones: the bag is of another version, or was damaged"
+        )
     return "\n".join(lines)
+
+
+def _differs(found: Replay, weights: ComparedWeights) -> bool:
+    """Return whether any command or weight is another than the recorded one."""
+    return weights.first is not None or not found.identical[found.answered].all()
+
+
+def _seconds(found: Replay) -> FloatArray:
+    """Return the time of each step since the first [s], shape (N,)."""
+    return np.asarray((found.stamp - found.stamp[0]) * 1e-9)
 
 
 def _differences(found: Replay) -> list[str]:
     """Return where commands first differ, and by how much."""
     answered = found.answered
-    time = (found.stamp[answered] - found.stamp[0]) * 1e-9
+    time = _seconds(found)[answered]
     recorded, replayed = found.recorded[answered], found.replayed[answered]
     first = int(np.argmin(found.identical[answered]))
     apart = np.abs(replayed - recorded)

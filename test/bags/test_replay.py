@@ -12,6 +12,7 @@ from commands import adp
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.replay import replay, steps_of
 from adp_path_follower.bags.replay_bag import write_replay
+from adp_path_follower.bags.weight_comparison import compare_weights
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.schema import update
 
@@ -65,7 +66,7 @@ def test_the_bag_of_a_replay_is_a_run_like_any_other(bag, tmp_path):
     np.testing.assert_array_equal(again.series["cmd_vel"].values, found.replayed)
     repeated = replay(again)
     assert repeated.identical.all()
-    assert repeated.identical_weights(again).all()
+    assert compare_weights(again, repeated).identical.all()
     assert repeated.follower.settings == settings
 
 
@@ -80,7 +81,76 @@ def test_poses_of_a_path_that_is_not_in_the_bag_are_refused(bag, tmp_path):
         replay(dataclasses.replace(again, configurations=((time, other),)))
 
 
+# Weights
+
+
+@pytest.fixture(scope="module")
+def learned(bag, tmp_path_factory):
+    """Return a run with the weights of its own controller."""
+    run, folder = read_run(bag), tmp_path_factory.mktemp("learned") / "run"
+    write_replay(replay(run), bag, run.topics, folder)
+    return read_run(folder)
+
+
+def with_critic(run, rows, values):
+    """Return a run in which only some sets of critic weights were recorded, with these values."""
+    series = run.series["critic_weights"]
+    chosen = dataclasses.replace(
+        series, stamp=series.stamp[rows], arrival=series.arrival[rows], values=values
+    )
+    return dataclasses.replace(run, series={**run.series, "critic_weights": chosen})
+
+
+@pytest.mark.parametrize("rows", [np.arange(25), np.arange(0, 25, 5), np.arange(3, 25)])
+def test_weights_that_differ_in_one_bit_are_found(learned, rows):
+    """Whether each step has some, or fewer were recorded: by `debug_rate`, by a late recorder."""
+    values = learned.series["critic_weights"].values[rows]
+    found = replay(learned)
+    same = compare_weights(with_critic(learned, rows, values), found)
+    assert (same.first, same.notes) == (None, ())
+    assert len(same.identical) == len(rows) + 25
+    changed = values.copy()
+    changed[2, 4] = np.nextafter(values[2, 4], np.inf)
+    other = compare_weights(with_critic(learned, rows, changed), found)
+    assert np.flatnonzero(~other.identical).tolist() == [2]
+    assert other.first.step == rows[2]
+    assert other.first.name == f"critic weight {learned.series['critic_weights'].labels[4]}"
+    assert (other.first.recorded, other.first.replayed) == (changed[2, 4], values[2, 4])
+
+
+def test_weights_of_another_number_differ_and_too_many_are_not_compared(learned):
+    series, found = learned.series["critic_weights"], replay(learned)
+    fewer = compare_weights(with_critic(learned, np.arange(25), series.values[:, :3]), found)
+    assert (fewer.first.name, fewer.first.recorded) == ("number of critic weights", 3)
+    rows = np.repeat(np.arange(25), 2)
+    more = compare_weights(with_critic(learned, rows, series.values[rows]), found)
+    assert more.first is None
+    assert len(more.identical) == 25  # the actor's
+    assert more.notes[0].startswith("the bag has 50 sets of critic weights for 25 steps")
+
+
 # The command
+
+
+def test_other_weights_are_exit_code_1(bag, tmp_path):
+    run = read_run(bag)
+    found = replay(run)
+    outputs = list(found.outputs)
+    for step in (10, 11):
+        weights = outputs[step].weights
+        critic = weights.critic + 0.001 * (np.arange(len(weights.critic)) == 2)
+        outputs[step] = dataclasses.replace(
+            outputs[step], weights=dataclasses.replace(weights, critic=critic)
+        )
+    write_replay(dataclasses.replace(found, outputs=outputs), bag, run.topics, tmp_path / "bag")
+    done = adp("replay", "bag", cwd=tmp_path)
+    assert done.returncode == 1
+    commands, sets, difference, reason = done.stdout.splitlines()
+    assert commands == "25 of 25 commands are identical to the last bit"
+    assert sets == "48 of 50 sets of weights are, too"
+    assert difference.startswith("first difference of weights after 0.100 s: critic weight ")
+    assert difference.endswith(", 0.001 apart")
+    assert "of another version, or was damaged" in reason
 
 
 def test_a_full_disk_is_one_sentence(bag, tmp_path):
