@@ -26,7 +26,7 @@ from bag_messages import (
 )
 from commands import Done, adp
 
-from adp_path_follower.analysis.bag_metrics import METRIC_NAMES, parse_requirement
+from adp_path_follower.analysis.bag_metrics import METRIC_NAMES, parse_requirement, with_states
 from adp_path_follower.core.errors import AdpError
 
 pytest.importorskip("plotly", reason="the report needs the extra 'report'")
@@ -44,12 +44,19 @@ pytest.importorskip("plotly", reason="the report needs the extra 'report'")
         ("command_rate>99", True),
         ("cost<1", False),  # not known
         ("time_in_state.fault<=0", True),
+        ("time_in_state.goal reached<=0", True),
         ("time_in_state.following>=3", False),
     ],
 )
 def test_requirements(requirement, met):
     values = {"cross_track_rms": 0.01, "command_rate": 100.0, "cost": math.nan}
-    assert parse_requirement(requirement).met(values) is met
+    found = with_states(values, {"following": 2.0})
+    assert parse_requirement(requirement).met(found) is met
+
+
+def test_of_a_bag_that_tells_no_states_no_time_in_them_is_known():
+    for requirement in ("time_in_state.fault<=0", "time_in_state.fault>=0"):
+        assert not parse_requirement(requirement).met(with_states({}, {}))
 
 
 @pytest.mark.parametrize(
@@ -57,6 +64,7 @@ def test_requirements(requirement, met):
     [
         ("cross_track_rms", "is not NAME<LIMIT"),
         ("crosstrack<1", "names no metric: there are duration, "),
+        ("time_in_state.faults<=0", "names no state of the controller: there are inactive, "),
         ("cross_track_rms<small", "has the limit 'small', which is no number"),
         ("cross_track_rms<nan", "which is no number"),
     ],
@@ -79,6 +87,7 @@ def reported(tmp_path_factory) -> tuple[Path, Done]:
         "analyze",
         *("mine", "other", "--out", "out"),
         *("--require", "cross_track_rms<0.06", "--require", "cross_track_max<0.1"),
+        *("--require", "time_in_state.inactive<=0"),
         cwd=folder,
     )
     return folder / "out", done
@@ -88,11 +97,14 @@ def test_a_missed_requirement_is_exit_code_1(reported):
     directory, done = reported
     assert done.returncode == 1, done.stderr
     assert "required cross_track_max<0.1 is not met by mine: cross_track_max is 0.2" in done.stderr
-    assert "not met by other" not in done.stderr
+    unknown = "time_in_state.inactive<=0 is not met by other: time_in_state.inactive is not known"
+    assert f"required {unknown}" in done.stderr
+    assert done.stderr.count("not met by") == 2
     content = json.loads((directory / "metrics.json").read_text())
     assert content["requirements"] == [
         {"text": "cross_track_rms<0.06", "met": [True, True]},
         {"text": "cross_track_max<0.1", "met": [False, True]},
+        {"text": "time_in_state.inactive<=0", "met": [True, False]},
     ]
 
 

@@ -28,6 +28,7 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.supervisor import State
 
 TRANSIENT = 10.0  # [s] after which the steady cross-track error counts
 SETTLED_SHARE = 0.05  # of the error at the start
@@ -306,8 +307,7 @@ class Requirement:
 
     def met(self, values: Mapping[str, float]) -> bool:
         """Return whether a run keeps it; a number that is not known does not."""
-        value = values.get(self.name, 0.0 if self.name.startswith(_STATE) else math.nan)
-        return _COMPARISONS[self.comparison](value, self.limit)
+        return _COMPARISONS[self.comparison](values.get(self.name, math.nan), self.limit)
 
 
 def parse_requirement(text: str) -> Requirement:
@@ -326,6 +326,11 @@ def parse_requirement(text: str) -> Requirement:
             f"--require '{text}' names no metric: there are {', '.join(METRIC_NAMES)} and "
             f"{_STATE}STATE"
         )
+    states = [state.value for state in State]
+    if name.startswith(_STATE) and name.removeprefix(_STATE) not in states:
+        raise AdpError(
+            f"--require '{text}' names no state of the controller: there are {', '.join(states)}"
+        )
     try:
         limit = float(limit_text)
     except ValueError:
@@ -336,5 +341,9 @@ def parse_requirement(text: str) -> Requirement:
 
 
 def with_states(values: Mapping[str, float], states: Mapping[str, float]) -> dict[str, float]:
-    """Return all numbers that a requirement can name."""
-    return {**values, **{f"{_STATE}{name}": spent for name, spent in states.items()}}
+    """Return all numbers that a requirement can name.
+
+    Where a bag says the states, those that it does not name took no time; else none is known.
+    """
+    known = {**dict.fromkeys((state.value for state in State), 0.0), **states} if states else {}
+    return {**values, **{f"{_STATE}{name}": spent for name, spent in known.items()}}

@@ -81,6 +81,7 @@ def write_report(
         captions=[(key, *CAPTIONS[key]) for key in CAPTIONS if key in figures],
         events_shown=_EVENTS_SHOWN,
         number=number,
+        nan=math.nan,
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -94,13 +96,15 @@ def analyze(
 
 def _missed(analyses: list[BagAnalysis], limits: list[Requirement]) -> list[str]:
     """Return a sentence for each requirement that a bag does not keep."""
-    return [
-        f"required {limit.text} is not met by {item.name}: {limit.name} is "
-        f"{item.numbers.get(limit.name, float('nan')):.6g}"
-        for limit in limits
-        for item in analyses
-        if not limit.met(item.numbers)
-    ]
+    missed = []
+    for limit, item in itertools.product(limits, analyses):
+        if not limit.met(item.numbers):
+            value = item.numbers.get(limit.name, math.nan)
+            found = "not known" if math.isnan(value) else f"{value:.6g}"
+            missed.append(
+                f"required {limit.text} is not met by {item.name}: {limit.name} is {found}"
+            )
+    return missed
 
 
 def _numbers(analyses: list[BagAnalysis], limits: list[Requirement]) -> dict[str, Any]:
