@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import FILE, new_directory, progress_bar, write_json, writing
+from adp_path_follower.cli.options import (
+    FILE,
+    given_topics,
+    new_directory,
+    progress_bar,
+    topic_options,
+    write_json,
+    writing,
+)
 
 if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to report
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
@@ -28,11 +36,7 @@ if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to rep
     help="Where report, figures and numbers go: a new or empty directory (adp_report_DATE if it "
     "is not given).",
 )
-@click.option(
-    "--odom", metavar="TOPIC", help="Topic of the odometry; any named 'odom' if not given."
-)
-@click.option("--cmd", metavar="TOPIC", help="Topic of the commands; any named 'cmd_vel'.")
-@click.option("--path", metavar="TOPIC", help="Topic of the path; any named 'path'.")
+@topic_options
 @click.option(
     "--require",
     "requirements",
@@ -68,8 +72,7 @@ def analyze(
     from adp_path_follower.analysis.report import write_report
 
     limits = [parse_requirement(text) for text in requirements]
-    given = {"odom": odom, "cmd_vel": cmd, "path": path}
-    names = {key: name for key, name in given.items() if name is not None}
+    names = given_topics(odom=odom, cmd=cmd, path=path)
     directory = new_directory(
         directory or Path(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
     )

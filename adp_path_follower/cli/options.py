@@ -26,6 +26,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 FILE = click.Path(path_type=Path)
 
+_TOPICS = {"odom": "odom", "cmd": "cmd_vel", "path": "path"}  # option -> what a topic is read as
+
 
 def settings_options(command: Command) -> Command:
     """Add --params and --set."""
@@ -71,6 +73,20 @@ def load_simulator(file: Path | None, assignments: tuple[str, ...]) -> Simulator
 
     """
     return load_settings(SimulatorSettings, "unicycle_sim", file, assignments)
+
+
+def topic_options(command: Command) -> Command:
+    """Add --odom, --cmd and --path, of which `given_topics` makes one mapping."""
+    for name, what in (("path", "path"), ("cmd", "commands"), ("odom", "odometry")):
+        key = _TOPICS[name]
+        text = f"Topic of the {what} in the bag; any named '{key}' if not given."
+        command = click.option(f"--{name}", metavar="TOPIC", help=text)(command)
+    return command
+
+
+def given_topics(**topics: str | None) -> dict[str, str]:
+    """Return "odom", "cmd_vel" and "path" -> topic, of those options that were given."""
+    return {_TOPICS[name]: topic for name, topic in topics.items() if topic is not None}
 
 
 def path_option(command: Command) -> Command:

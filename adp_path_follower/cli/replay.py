@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 
@@ -18,9 +19,11 @@ from adp_path_follower.bags.weight_comparison import ComparedWeights, compare_we
 from adp_path_follower.cli.options import (
     FILE,
     check_writable,
+    given_topics,
     new_directory,
     progress_bar,
     settings_options,
+    topic_options,
     writing,
 )
 from adp_path_follower.core.errors import AdpError
@@ -32,6 +35,7 @@ from adp_path_follower.core.settings import Settings
 
 @click.command()
 @click.argument("bag", type=FILE)
+@topic_options
 @settings_options
 @click.option(
     "--closed-loop",
@@ -63,6 +67,9 @@ from adp_path_follower.core.settings import Settings
 )
 def replay(
     bag: Path,
+    odom: str | None,
+    cmd: str | None,
+    path: str | None,
     params: Path | None,
     assignments: tuple[str, ...],
     closed_loop: bool,
@@ -87,7 +94,7 @@ def replay(
     To a live controller:     adp replay my_bag --republish --rate 2
     """
     check_writable(csv_file, figure_file)
-    run = read_run(bag)
+    run = read_run(bag, given_topics(odom=odom, cmd=cmd, path=path))
     if republish:
         _republish(bag, run, rate)
         return
@@ -117,7 +124,7 @@ def replay(
         replayed = directory / f"{bag.resolve().stem}_replayed"
         with writing(directory):
             write_replay(found, bag, run.topics, replayed, velocity)
-            _write_report(bag, replayed)
+            _write_report(bag, run.topics, replayed, closed_loop)
     sys.exit(1 if differs else 0)
 
 
@@ -154,8 +161,12 @@ def _write_csv(found: Replay, file: Path) -> None:
     np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.17g")
 
 
-def _write_report(bag: Path, replayed: Path) -> None:
+def _write_report(bag: Path, topics: Mapping[str, str], replayed: Path, closed_loop: bool) -> None:
     """Lay the recorded and the new run over each other, as `adp analyze` does."""
+    recorded = {key: topics[key] for key in ("odom", "cmd_vel", "path") if key in topics}
+    # The new commands, and the odometry of a simulator, are there by their usual names.
+    new = {key: topic for key, topic in recorded.items() if key == "path" or not closed_loop}
+    new["cmd_vel"] = "/cmd_vel"
     directory = replayed.parent
     try:
         from adp_path_follower.analysis.bag_analysis import analyse_bag
@@ -164,10 +175,11 @@ def _write_report(bag: Path, replayed: Path) -> None:
         click.echo(f"In {directory}: {replayed.name}/, without a report: {error}")
         return
     analyses = []
-    for number, (label, source) in enumerate((("recorded", bag), ("replayed", replayed))):
+    runs = (("recorded", bag, recorded), ("replayed", replayed, new))
+    for number, (label, source, names) in enumerate(runs, start=1):
         with progress_bar(f"reading the {label} run") as progress:
-            file = directory / f"trajectory_{number + 1}.tum"
-            analyses.append(analyse_bag(source.resolve(), {}, 2, file, progress))
+            file = directory / f"trajectory_{number}.tum"
+            analyses.append(analyse_bag(source.resolve(), names, 2, file, progress))
     write_report(analyses, [], directory / "report.html")
     click.echo(f"In {directory}: report.html, {replayed.name}/ (rosbag2, MCAP), trajectory_*.tum")
 

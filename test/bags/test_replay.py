@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import torn_bags
 from commands import adp
+from rosbags.rosbag2 import Reader
 
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.replay import replay, steps_of
 from adp_path_follower.bags.replay_bag import write_replay
 from adp_path_follower.bags.weight_comparison import compare_weights
+from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.schema import update
 
@@ -151,6 +153,39 @@ def test_other_weights_are_exit_code_1(bag, tmp_path):
     assert difference.startswith("first difference of weights after 0.100 s: critic weight ")
     assert difference.endswith(", 0.001 apart")
     assert "of another version, or was damaged" in reason
+
+
+def renamed(source, directory, names):
+    """Write a bag anew with other names of its topics; None leaves a topic out."""
+    writer = BagWriter(directory)
+    with Reader(source) as reader:
+        kinds = {item.topic: item.msgtype for item in reader.connections}
+        numbers = {
+            topic: writer.add_topic(names.get(topic, topic), kind)
+            for topic, kind in kinds.items()
+            if names.get(topic, topic)
+        }
+        for connection, time, content in reader.messages():
+            if connection.topic in numbers:
+                writer.write(numbers[connection.topic], bytes(content), time, time)
+    writer.close()
+    return directory
+
+
+@pytest.mark.parametrize("closed_loop", [False, True])
+def test_topics_of_other_names_and_the_report_about_them(bag, tmp_path, closed_loop):
+    pytest.importorskip("plotly", reason="the report needs the extra 'report'")
+    names = {"/odom": "/filtered", "/cmd_vel": "/a/command", "/path": "/plan"}
+    renamed(bag, tmp_path / "other", names)
+    given = ("--odom", "filtered", "--cmd", "/a/command", "--path", "/plan")
+    done = adp("replay", "other", *given, cwd=tmp_path)
+    assert done.stdout.startswith("25 of 25 commands are identical"), done.stderr
+    changed = ("--set", "target_gain=0.7", *(["--closed-loop"] if closed_loop else []))
+    done = adp("replay", "other", *given, *changed, "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "report.html").exists()
+    topics = set(read_run(tmp_path / "out" / "other_replayed").message_counts)
+    assert topics >= {"/plan", "/cmd_vel", "/odom" if closed_loop else "/filtered"}
 
 
 def test_a_full_disk_is_one_sentence(bag, tmp_path):
