@@ -181,7 +181,7 @@ def _routes(bag: Path, run: Run, notes: list[str]) -> tuple[list[Route], np.ndar
     if not run.paths:
         raise FileError(f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path")
     routes, times, problem = [], [], ""
-    recorded = RecordedRoutes(run, None)
+    recorded = RecordedRoutes(run)
     for number, (time, poses) in enumerate(run.paths):
         if not len(poses):  # how planners take a path back
             continue

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 
 from adp_path_follower.bags.configuration import Configuration, parse_configuration
 from adp_path_follower.bags.raw_messages import transformed
@@ -12,6 +13,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.route import Route, route_of
+from adp_path_follower.core.schema import build, setting_fields
 from adp_path_follower.core.settings import PathSettings, Settings
 
 
@@ -22,10 +24,17 @@ class RecordedRoutes:
     frame; all of them are in the bag.
     """
 
-    def __init__(self, run: Run, fixed: Settings | None) -> None:
-        """Take a run; fixed settings replace those that its routes were prepared with."""
+    def __init__(
+        self,
+        run: Run,
+        fixed: Settings | None = None,
+        overlay: Mapping[str, object] | None = None,
+    ) -> None:
+        """Take a run; the rest is what to prepare its routes with, as in `RecordedDriver`."""
         self._poses = [poses for _, poses in run.paths]
         self._fixed = None if fixed is None else fixed.path
+        names = {field.name for field in setting_fields(Settings) if field.group == "path"}
+        self._overlay = {name: value for name, value in (overlay or {}).items() if name in names}
         self._changes = _configurations(run)
         self._known = _path_settings(self._changes)
         self._prepared: dict[tuple[int, PathSettings, tuple[float, ...]], Route | None] = {}
@@ -65,18 +74,20 @@ class RecordedRoutes:
             return None
         key = change.path_digest, change.transform
         if key not in self._found:
-            number, route = self._search(change)
-            if self._fixed is not None:
-                route = _route(self._poses[number], self._fixed, change.transform)
+            number, prepared, route = self._search(change)
+            values = {**asdict(self._fixed or prepared), **self._overlay}
+            wanted = build(Settings, values).path
+            if wanted != prepared:
+                route = _route(self._poses[number], wanted, change.transform)
             self._found[key] = route
         return self._found[key]
 
-    def _search(self, change: Configuration) -> tuple[int, Route]:
+    def _search(self, change: Configuration) -> tuple[int, PathSettings, Route]:
         for settings in self._known:
             for number in range(len(self._poses)):
                 route = self._made(number, settings, change.transform)
                 if route is not None and route.digest() == change.path_digest:
-                    return number, route
+                    return number, settings, route
         raise FileError(
             f"the bag has not the path {change.path_digest} that the controller followed"
         )

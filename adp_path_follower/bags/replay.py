@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from adp_path_follower.bags.columns import Series
-from adp_path_follower.bags.configuration import Configuration, parse_configuration
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.bags.recorded_routes import RecordedRoutes
-from adp_path_follower.core.driver import Driver
+from adp_path_follower.bags.recorded_driver import RecordedDriver, recorded_settings
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.weights_file import SavedWeights, decode
 
 _NEIGHBOURS = np.arange(-10, 10)  # commands about the one that arrived with a step
 _BEGINNING = 1_000_000_000  # [ns] in which a recording may lack commands
@@ -46,25 +43,22 @@ class Replay:
     Attributes:
         follower: The follower after the run, of the last segment that was driven.
         settings: The settings after the run.
-        route: The route after the run.
-        transform: What brought its path into the odometry's frame, as in `Configuration`.
         steps: The control steps, N of them.
         recorded: The commands [v, w] in the bag, NaN where a step has none, shape (N, 2).
         outputs: What the follower gave, one for each step.
         cost: J at each step, shape (N,).
-        saved_weights: Digest of the weights file that it started from, empty without one.
+        configurations: Number of a step and what the controller would have said before it, of the
+            first and of each that something changed before.
 
     """
 
     follower: PathFollower
     settings: Settings
-    route: Route
-    transform: tuple[float, ...]
     steps: Steps
     recorded: FloatArray
     outputs: list[FollowerOutput]
     cost: FloatArray
-    saved_weights: str = ""
+    configurations: tuple[tuple[int, str], ...]
 
     @property
     def stamp(self) -> np.ndarray:
@@ -92,7 +86,9 @@ class Replay:
         return np.array([output.command for output in self.outputs])
 
 
-def replay(run: Run, settings: Settings | None = None) -> Replay:
+def replay(
+    run: Run, settings: Settings | None = None, overlay: Mapping[str, object] | None = None
+) -> Replay:
     """Replay a run with the steps, the paths and the changes of parameters that it had.
 
     A run of this package's controller holds the pose that each step went by. Of another one, or
@@ -101,16 +97,18 @@ def replay(run: Run, settings: Settings | None = None) -> Replay:
     Args:
         run: The run.
         settings: What to replay it with; by default, what it was recorded with.
+        overlay: Setting -> value that it has all the time, whatever else changed during the run.
 
     Raises:
         FileError: The bag lacks odometry, path or configuration, or a pose is none that a robot
             can have.
+        SettingsError: The overlay does not fit.
 
     """
     steps = steps_of(run)
     if settings is None and "measured_pose" not in run.series:
-        settings = _settings_of_odometry_steps(run)
-    driver = RecordedDriver(run, settings)
+        settings = recorded_settings(run) if overlay else _settings_of_odometry_steps(run)
+    driver = RecordedDriver(run, settings, overlay)
     outputs: list[FollowerOutput] = []
     cost = []
     for pose, stamp in zip(steps.pose, steps.stamp.tolist(), strict=True):
@@ -125,13 +123,11 @@ def replay(run: Run, settings: Settings | None = None) -> Replay:
     return Replay(
         driver.follower,
         driver.settings,
-        driver.route,
-        driver.transform,
         steps,
         recorded,
         outputs,
         np.array(cost),
-        driver.saved_weights,
+        tuple(driver.configurations),
     )
 
 
@@ -156,137 +152,6 @@ def steps_of(run: Run) -> Steps:
     if not np.isfinite(pose).all():
         raise FileError("the bag has odometry that is not finite: it cannot be replayed")
     return Steps(stamps, pose, series.arrival[first])
-
-
-def recorded_settings(run: Run) -> Settings:
-    """Return the settings that the controller said last it runs with.
-
-    Raises:
-        FileError: The bag has none, or none that can be read.
-        SettingsError: They are none of this version.
-
-    """
-    return parse_configuration(run.configuration).settings
-
-
-class RecordedDriver:
-    """Drives as the controller node did, from what it said about paths and parameters.
-
-    Attributes:
-        saved_weights: Digest of the weights file that it starts from, empty without one.
-
-    """
-
-    def __init__(self, run: Run, settings: Settings | None) -> None:
-        """Take the paths and the changes of parameters; settings replace the recorded ones."""
-        if not any(len(poses) for _, poses in run.paths):
-            raise FileError("the bag has no path: nothing to replay")
-        self._fixed = settings
-        self._routes = RecordedRoutes(run, settings)
-        self.transform: tuple[float, ...] = ()
-        told = run.configurations if "measured_pose" in run.series else ()
-        self._changes = iter([parse_configuration(text) for _, text in told])
-        self._next = next(self._changes, None)
-        if self._next is None and settings is None:
-            raise FileError("the bag has no path_follower/configuration: replay it with --params")
-        saved = _saved_weights(run, self._next)
-        self.saved_weights = "" if saved is None else saved.digest
-        self._driver = Driver(settings or self._upcoming.settings, saved)
-        if self._next is None:
-            self._driver.follow(self._routes.last(self._driver.settings))
-        else:
-            self._driver.learning_resets = self._next.learning_resets
-            self._driver.restarts = self._next.restarts
-            self._driver.stops = self._next.stops
-
-    @property
-    def _upcoming(self) -> Configuration:
-        assert self._next is not None  # the caller knows
-        return self._next
-
-    @property
-    def follower(self) -> PathFollower:
-        """Return the follower of the present segment."""
-        assert self._driver.follower is not None  # every step makes one that is missing
-        return self._driver.follower
-
-    @property
-    def settings(self) -> Settings:
-        """Return the present settings, or those that the first step will have."""
-        return self._driver.settings
-
-    @property
-    def route(self) -> Route:
-        """Return the present route."""
-        assert self._driver.route is not None  # steps are taken on one
-        return self._driver.route
-
-    @property
-    def at_goal(self) -> bool:
-        """Return whether the target is at the end of an open route."""
-        return self._driver.at_goal
-
-    def step(self, pose: FloatArray, stamp: int) -> FollowerOutput:
-        """Return what the follower gives for a pose (3,) at a time [ns].
-
-        Raises:
-            FileError: The pose is none that a robot can have.
-
-        """
-        while self._next is not None and self._next.after_step < stamp:
-            self._change(self._next)
-            self._next = next(self._changes, None)
-        if self._driver.route is None:
-            raise FileError("the bag has control steps from before the controller had a path")
-        try:
-            with np.errstate(all="ignore"):  # a damaged pose is told below, once
-                output = self._driver.step(pose, stamp)
-            sound = bool(np.isfinite(output.command).all())
-        except (ArithmeticError, LookupError, ValueError):
-            sound = False
-        if not sound:  # where no robot ever was
-            text = ", ".join(f"{value:g}" for value in pose)
-            raise FileError(f"no command follows from the pose ({text}) at {stamp} ns")
-        return output
-
-    def _change(self, change: Configuration) -> None:
-        """Take over a path, settings or a reset of learning, as the node did."""
-        driver = self._driver
-        if change.learning_resets != driver.learning_resets:
-            driver.reset_learning()
-            driver.learning_resets = change.learning_resets
-        if change.stops != driver.stops:
-            driver.stopped()
-            driver.stops = change.stops
-        if change.restarts != driver.restarts:
-            driver.restart()
-            driver.restarts = change.restarts
-        route = self._routes.of(change)
-        self.transform = change.transform
-        if route is not driver.route:
-            driver.follow(route)
-        driver.change_settings(self._fixed or change.settings)
-
-
-def _saved_weights(run: Run, first: Configuration | None) -> SavedWeights | None:
-    """Return the weights that a controller started from, of what it said first.
-
-    Raises:
-        FileError: They are not in the bag, or damaged.
-
-    """
-    if first is None or not first.saved_weights or first.learning_resets:
-        return None
-    if not run.initial_weights:
-        raise FileError(
-            "the bag lacks the weights that the controller started from "
-            "(path_follower/initial_weights): record that topic, too"
-        )
-    name = "path_follower/initial_weights in the bag"
-    saved = decode(run.initial_weights, name)
-    if saved.digest != first.saved_weights:
-        raise FileError(f"{name} is not what the controller started from: the bag is damaged")
-    return saved
 
 
 def _settings_of_odometry_steps(run: Run) -> Settings:

@@ -13,7 +13,6 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from adp_path_follower.bags.configuration import configuration_text
 from adp_path_follower.bags.replay import Replay
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.follower import FollowerOutput
@@ -91,18 +90,13 @@ def _recorded(reader: Reader, connections: list[Connection]) -> Iterator[_Entry]
 def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
     """Yield what the nodes would have published, step by step."""
     messages = _Messages(found.settings.learning.value_basis.labels)
-    text = configuration_text(
-        found.settings,
-        found.route,
-        saved_weights=found.saved_weights,
-        transform=found.transform,
-    )
-    first = int(found.steps.arrival[0])
-    yield first, "/path_follower/configuration", messages.text(text)
-    arrival = first
+    said = dict(found.configurations)
+    arrival = int(found.steps.arrival[0])
     for step, output in enumerate(found.outputs):
         arrival = max(arrival, int(found.steps.arrival[step]))
         stamp, pose = int(found.stamp[step]), found.pose[step]
+        if step in said:
+            yield arrival, "/path_follower/configuration", messages.text(said[step])
         if velocity is not None:
             yield arrival, "/odom", messages.odometry(stamp, pose, velocity[step])
         for topic, make in messages.of_step.items():

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.bags.replay import (
-    RecordedDriver,
-    Replay,
-    Steps,
-    recorded_settings,
-    steps_of,
-)
+from adp_path_follower.bags.recorded_driver import RecordedDriver, recorded_settings
+from adp_path_follower.bags.replay import Replay, Steps, steps_of
+from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings import Settings
 from sim_unicycle.settings import PlantSettings
@@ -20,7 +18,9 @@ from sim_unicycle.unicycle import Unicycle
 _NANOSECONDS = 1_000_000_000
 
 
-def rerun(run: Run, settings: Settings | None = None) -> tuple[Replay, FloatArray]:
+def rerun(
+    run: Run, settings: Settings | None = None, overlay: Mapping[str, object] | None = None
+) -> tuple[Replay, FloatArray]:
     """Return a run of the simulator from the recorded initial pose, as long as the recorded one.
 
     Paths and changes of parameters come when they came. The robot is the ideal unicycle.
@@ -28,6 +28,7 @@ def rerun(run: Run, settings: Settings | None = None) -> tuple[Replay, FloatArra
     Args:
         run: The run.
         settings: What to drive it with; by default, what it was recorded with.
+        overlay: Setting -> value that it has all the time, whatever else changed during the run.
 
     Returns:
         The run, in which no command is a recorded one, and v, w at each step, shape (N, 2).
@@ -37,33 +38,33 @@ def rerun(run: Run, settings: Settings | None = None) -> tuple[Replay, FloatArra
 
     """
     recorded = steps_of(run)
-    driver = RecordedDriver(run, settings or recorded_settings(run))
-    period = 1.0 / driver.settings.controller.controller_frequency
-    first, last = int(recorded.stamp[0]), int(recorded.stamp[-1])
-    stamps = first + np.arange(0, last - first + 1, round(period * _NANOSECONDS))
+    if settings is None and "measured_pose" not in run.series:
+        settings = recorded_settings(run)  # such a bag does not say which steps a change is between
+    driver = RecordedDriver(run, settings, overlay)
+    stamp, last = int(recorded.stamp[0]), int(recorded.stamp[-1])
     robot = Unicycle(recorded.pose[0], PlantSettings())
-    poses, velocities, outputs, cost = [], [], [], []
-    for stamp in stamps.tolist():
+    stamps, poses, velocities, cost = [], [], [], []
+    outputs: list[FollowerOutput] = []
+    while stamp <= last and not (outputs and driver.at_goal):
+        stamps.append(stamp)
         poses.append(robot.measured_pose())
         velocities.append(robot.twist)
         outputs.append(driver.step(poses[-1], stamp))
         cost.append(float(driver.follower.cost))
-        if driver.at_goal:
-            break
+        period = 1.0 / driver.settings.controller.controller_frequency
         robot.step(outputs[-1].command, period)
+        stamp += round(period * _NANOSECONDS)
     count = len(outputs)
-    arrivals = recorded.arrival[0] + stamps[:count] - first
-    steps = Steps(stamps[:count], np.array(poses), arrivals)
+    stamp_array = np.array(stamps)
+    steps = Steps(stamp_array, np.array(poses), recorded.arrival[0] + stamp_array - stamp_array[0])
     nothing = np.full((count, 2), np.nan)
     found = Replay(
         driver.follower,
         driver.settings,
-        driver.route,
-        driver.transform,
         steps,
         nothing,
         outputs,
         np.array(cost),
-        driver.saved_weights,
+        tuple(driver.configurations),
     )
     return found, np.array(velocities)

@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from adp_path_follower.bags.reader import Run, read_run
-from adp_path_follower.bags.replay import Replay, recorded_settings
+from adp_path_follower.bags.replay import Replay
 from adp_path_follower.bags.replay import replay as replay_run
 from adp_path_follower.bags.replay_bag import write_replay
 from adp_path_follower.bags.rerun import rerun
@@ -29,7 +29,6 @@ from adp_path_follower.cli.options import (
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings, parse_assignment
-from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
 
 
@@ -98,18 +97,19 @@ def replay(
     if republish:
         _republish(bag, run, rate)
         return
-    settings = _settings(run, params, assignments)
+    settings, overlay = _wanted(params, assignments)
+    changed = settings is not None or bool(overlay)
     velocity: FloatArray | None = None
     differs = False
     if closed_loop:
         if csv_file or figure_file:
             raise AdpError("--csv and --figure compare commands step by step: not --closed-loop")
-        found, velocity = rerun(run, settings)
+        found, velocity = rerun(run, settings, overlay)
     else:
-        found = replay_run(run, settings)
+        found = replay_run(run, settings, overlay)
         weights = compare_weights(run, found)
-        click.echo(_report(found, weights, settings is not None))
-        differs = settings is None and _differs(found, weights)
+        click.echo(_report(found, weights, changed))
+        differs = not changed and _differs(found, weights)
     if csv_file is not None:
         with writing(csv_file):
             _write_csv(found, csv_file)
@@ -118,7 +118,7 @@ def replay(
 
         with writing(figure_file):
             draw_replay(found, figure_file)
-    if directory is not None or closed_loop or settings is not None:
+    if directory is not None or closed_loop or changed:
         name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
         directory = new_directory(directory or Path(name))
         replayed = directory / f"{bag.resolve().stem}_replayed"
@@ -128,13 +128,13 @@ def replay(
     sys.exit(1 if differs else 0)
 
 
-def _settings(run: Run, params: Path | None, assignments: tuple[str, ...]) -> Settings | None:
-    """Return the settings that were asked for, None for the recorded ones."""
+def _wanted(
+    params: Path | None, assignments: tuple[str, ...]
+) -> tuple[Settings | None, dict[str, object]]:
+    """Return settings that replace the recorded ones, and what is laid over either of them."""
     if params is not None:
-        return load_settings(Settings, "path_follower", params, assignments)
-    if assignments:
-        return update(recorded_settings(run), dict(map(parse_assignment, assignments)))
-    return None
+        return load_settings(Settings, "path_follower", params, assignments), {}
+    return None, dict(map(parse_assignment, assignments))
 
 
 def _republish(bag: Path, run: Run, rate: float) -> None:

@@ -10,9 +10,11 @@ import torn_bags
 from commands import adp
 from rosbags.rosbag2 import Reader
 
+from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.replay import replay, steps_of
 from adp_path_follower.bags.replay_bag import write_replay
+from adp_path_follower.bags.rerun import rerun
 from adp_path_follower.bags.weight_comparison import compare_weights
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import FileError
@@ -129,6 +131,58 @@ def test_weights_of_another_number_differ_and_too_many_are_not_compared(learned)
     assert more.first is None
     assert len(more.identical) == 25  # the actor's
     assert more.notes[0].startswith("the bag has 50 sets of critic weights for 25 steps")
+
+
+# Parameters that changed during the run
+
+
+@pytest.fixture(scope="module")
+def slowed(learned):
+    """Return the run as if its speed had been changed after the eleventh step."""
+    (arrival, text), *_ = learned.configurations
+    later = text.replace("desired_speed: 0.5", "desired_speed: 0.3")
+    later = later.replace("after_step: -1", f"after_step: {steps_of(learned).stamp[10]}")
+    return dataclasses.replace(
+        learned, configurations=((arrival, text), (arrival + 100_000_000, later))
+    )
+
+
+def said(found):
+    """Return for each configuration of a replay its step, speed and limit of the turn rate."""
+    changes = [(step, parse_configuration(text).settings) for step, text in found.configurations]
+    return [
+        (step, settings.target.desired_speed, settings.limits.max_angular_vel)
+        for step, settings in changes
+    ]
+
+
+def test_a_closed_loop_changes_parameters_when_they_changed(learned, slowed):
+    before, _ = rerun(learned)
+    found, _ = rerun(slowed)
+    same = (before.replayed == found.replayed).all(axis=1)
+    assert same.tolist() == [True] * 11 + [False] * 14
+    limit = found.settings.limits.max_angular_vel
+    assert said(found) == [(0, 0.5, limit), (11, 0.3, limit)]
+    fixed, _ = rerun(slowed, found.settings)
+    assert said(fixed) == [(0, 0.3, limit), (11, 0.3, limit)]
+
+
+@pytest.mark.parametrize("closed_loop", [False, True])
+def test_what_is_set_is_set_through_every_change(slowed, bag, tmp_path, closed_loop):
+    overlay = {"max_angular_vel": 0.4}
+    if closed_loop:
+        found, velocity = rerun(slowed, None, overlay)
+    else:
+        found, velocity = replay(slowed, None, overlay), None
+    assert said(found) == [(0, 0.5, 0.4), (11, 0.3, 0.4)]
+    assert np.abs(found.replayed[:, 1]).max() == 0.4
+    # The bag of it says so, too, and comes out the same.
+    write_replay(found, bag, read_run(bag).topics, tmp_path / "again", velocity)
+    again = read_run(tmp_path / "again")
+    assert len(again.configurations) == 2
+    repeated = replay(again)
+    assert said(repeated) == said(found)
+    np.testing.assert_array_equal(repeated.replayed, found.replayed)
 
 
 # The command

@@ -1,0 +1,186 @@
+"""Drive as a recorded controller did, through all that changed meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from adp_path_follower.bags.configuration import (
+    NO_STEP,
+    Configuration,
+    configuration_text,
+    parse_configuration,
+)
+from adp_path_follower.bags.reader import Run
+from adp_path_follower.bags.recorded_routes import RecordedRoutes
+from adp_path_follower.core.driver import Driver
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.follower import FollowerOutput, PathFollower
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.schema import update
+from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.weights_file import SavedWeights, decode
+
+
+def recorded_settings(run: Run) -> Settings:
+    """Return the settings that the controller said last it runs with.
+
+    Raises:
+        FileError: The bag has none, or none that can be read.
+        SettingsError: They are none of this version.
+
+    """
+    return parse_configuration(run.configuration).settings
+
+
+class RecordedDriver:
+    """Drives as the controller node did, from what it said about paths and parameters.
+
+    Attributes:
+        configurations: Number of a step, and what a controller that drives like this says before
+            it; of the first step, and of each that something changed before.
+
+    """
+
+    def __init__(
+        self, run: Run, settings: Settings | None, overlay: Mapping[str, object] | None = None
+    ) -> None:
+        """Take the paths and the changes of parameters.
+
+        Args:
+            run: The run.
+            settings: What replaces the recorded settings, None to keep them.
+            overlay: Setting -> value that it has all the time, whatever was recorded or is given.
+
+        Raises:
+            FileError: The bag has no path or no configuration, or weights are missing or damaged.
+            SettingsError: The settings are none of this version, or the overlay does not fit.
+
+        """
+        if not any(len(poses) for _, poses in run.paths):
+            raise FileError("the bag has no path: nothing to replay")
+        self._fixed, self._overlay = settings, overlay or {}
+        self._routes = RecordedRoutes(run, settings, self._overlay)
+        self.configurations: list[tuple[int, str]] = []
+        self._transform: tuple[float, ...] = ()
+        self._count, self._last = 0, NO_STEP
+        told = run.configurations if "measured_pose" in run.series else ()
+        self._changes = iter([parse_configuration(text) for _, text in told])
+        self._next = next(self._changes, None)
+        if self._next is None and settings is None:
+            raise FileError("the bag has no path_follower/configuration: replay it with --params")
+        saved = _saved_weights(run, self._next)
+        self._saved_weights = "" if saved is None else saved.digest
+        self._driver = Driver(self._wanted(self._next), saved)
+        if self._next is None:
+            self._driver.follow(self._routes.last(self._driver.settings))
+        else:
+            self._driver.learning_resets = self._next.learning_resets
+            self._driver.restarts = self._next.restarts
+            self._driver.stops = self._next.stops
+
+    def _wanted(self, recorded: Configuration | None) -> Settings:
+        """Return the settings to drive with where these were recorded."""
+        settings = self._fixed
+        if settings is None:
+            assert recorded is not None  # a driver without fixed settings is not made without
+            settings = recorded.settings
+        return update(settings, self._overlay) if self._overlay else settings
+
+    @property
+    def follower(self) -> PathFollower:
+        """Return the follower of the present segment."""
+        assert self._driver.follower is not None  # every step makes one that is missing
+        return self._driver.follower
+
+    @property
+    def settings(self) -> Settings:
+        """Return the present settings, or those that the first step will have."""
+        return self._driver.settings
+
+    @property
+    def at_goal(self) -> bool:
+        """Return whether the target is at the end of an open route."""
+        return self._driver.at_goal
+
+    def step(self, pose: FloatArray, stamp: int) -> FollowerOutput:
+        """Return what the follower gives for a pose (3,) at a time [ns].
+
+        Raises:
+            FileError: The pose is none that a robot can have.
+
+        """
+        changed = self._count == 0
+        while self._next is not None and self._next.after_step < stamp:
+            self._change(self._next)
+            self._next = next(self._changes, None)
+            changed = True
+        if self._driver.route is None:
+            raise FileError("the bag has control steps from before the controller had a path")
+        if changed:
+            self.configurations.append((self._count, self._text()))
+        try:
+            with np.errstate(all="ignore"):  # a damaged pose is told below, once
+                output = self._driver.step(pose, stamp)
+            sound = bool(np.isfinite(output.command).all())
+        except (ArithmeticError, LookupError, ValueError):
+            sound = False
+        if not sound:  # where no robot ever was
+            text = ", ".join(f"{value:g}" for value in pose)
+            raise FileError(f"no command follows from the pose ({text}) at {stamp} ns")
+        self._count, self._last = self._count + 1, stamp
+        return output
+
+    def _text(self) -> str:
+        """Return what a controller says that drives like this."""
+        driver = self._driver
+        return configuration_text(
+            driver.settings,
+            driver.route,
+            after_step=self._last,
+            learning_resets=driver.learning_resets,
+            restarts=driver.restarts,
+            stops=driver.stops,
+            saved_weights=self._saved_weights,
+            transform=self._transform,
+        )
+
+    def _change(self, change: Configuration) -> None:
+        """Take over a path, settings or a reset of learning, as the node did."""
+        driver = self._driver
+        if change.learning_resets != driver.learning_resets:
+            driver.reset_learning()
+            driver.learning_resets = change.learning_resets
+        if change.stops != driver.stops:
+            driver.stopped()
+            driver.stops = change.stops
+        if change.restarts != driver.restarts:
+            driver.restart()
+            driver.restarts = change.restarts
+        route = self._routes.of(change)
+        self._transform = change.transform
+        if route is not driver.route:
+            driver.follow(route)
+        driver.change_settings(self._wanted(change))
+
+
+def _saved_weights(run: Run, first: Configuration | None) -> SavedWeights | None:
+    """Return the weights that a controller started from, of what it said first.
+
+    Raises:
+        FileError: They are not in the bag, or damaged.
+
+    """
+    if first is None or not first.saved_weights or first.learning_resets:
+        return None
+    if not run.initial_weights:
+        raise FileError(
+            "the bag lacks the weights that the controller started from "
+            "(path_follower/initial_weights): record that topic, too"
+        )
+    name = "path_follower/initial_weights in the bag"
+    saved = decode(run.initial_weights, name)
+    if saved.digest != first.saved_weights:
+        raise FileError(f"{name} is not what the controller started from: the bag is damaged")
+    return saved
