@@ -26,6 +26,7 @@ from hypothesis.extra import numpy as hnp
 from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
 from adp_path_follower.analysis.bag_metrics import METRICS, settling
 from adp_path_follower.analysis.decimation import extremes
+from adp_path_follower.analysis.events import MOST_EVENTS
 from adp_path_follower.analysis.projection import project
 from adp_path_follower.core.path import Path as FollowedPath
 from adp_path_follower.core.path_library import lissajous
@@ -141,6 +142,25 @@ def test_the_learners_numbers_and_states(tmp_path):
     assert {"weights", "cost", "bellman_error", "excitation"} <= set(found.charts.panels)
     shown = [line.name for line in found.charts.panels["weights"][0].lines if not line.background]
     assert sorted(shown) == sorted(f"w{index}" for index in range(4, 14))
+
+
+def test_a_thousand_paths_hide_no_fault(tmp_path):
+    """As behind a planner that plans anew all the time, before the robot gets into trouble."""
+    ahead = [(0.1 * index, 0.0) for index in range(3)]
+    paths = [
+        ("/path", SECOND + index * 5_000_000, path_message([*ahead, (1.0 + 0.001 * index, 0.0)]))
+        for index in range(1000)
+    ]
+    found = analysed(tmp_path, sorted([*learner_run(), *paths], key=lambda item: item[1]))
+    kinds = [event.kind for event in found.events]
+    assert len(kinds) == MOST_EVENTS
+    assert [kinds.count(kind) for kind in ("state", "fault", "parameter")] == [3, 1, 1]
+    times = [event.time for event in found.events if event.kind == "path"]
+    assert max(np.diff(times[1:])) < 0.05  # the first came long before
+    assert times[-1] > 4.9
+    left_out = 1001 - (MOST_EVENTS - 5)
+    assert found.events_left_out in found.notes
+    assert found.events_left_out.startswith(f"{left_out} of 1001 path events are left out")
 
 
 def test_a_bag_of_another_controller_gets_the_tracking_figures(tmp_path):

@@ -16,6 +16,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright is no
 
 from adp_path_follower.analysis.bag_analysis import analyse_bag
 from adp_path_follower.analysis.bag_metrics import parse_requirement
+from adp_path_follower.analysis.events import KINDS
 from adp_path_follower.analysis.report import write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
@@ -143,6 +144,13 @@ def test_the_slider_moves_the_robot_and_every_line(pages, browser):
                 break
             visit.page.wait_for_timeout(20)
         assert visit.cursor(figure) == pytest.approx(6.0)
+
+
+def test_all_kinds_of_events_have_their_place(pages, browser):
+    axis = "document.getElementById('figure-events')._fullLayout.yaxis"
+    visit = open_page(browser, pages["two"])
+    assert visit.page.evaluate(f"{axis}.range") == [-0.5, 4.5]
+    assert visit.page.evaluate(f"{axis}.categoryarray") == list(reversed(KINDS))
 
 
 def test_only_a_target_that_was_recorded_is_drawn(pages, browser):

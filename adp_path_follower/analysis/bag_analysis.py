@@ -26,6 +26,7 @@ class BagAnalysis:
         states: State of the controller -> time in it [s].
         charts: What the figures show.
         events: What happened.
+        events_left_out: What of it is not among the events, as a sentence, empty if nothing is.
         settings: Name -> value as text; empty where the bag does not say.
         topics: Topic -> number of messages.
         used: What a topic was read as -> the topic.
@@ -38,6 +39,7 @@ class BagAnalysis:
     states: Mapping[str, float]
     charts: Charts
     events: tuple[Event, ...]
+    events_left_out: str
     settings: Mapping[str, str]
     topics: Mapping[str, int]
     used: Mapping[str, str]
@@ -72,17 +74,19 @@ def analyse_bag(
     drive = drive_of(bag, read_run(bag, names, progress))
     metrics, notes = measure_drive(drive)
     _write_tum(drive, trajectory)
+    events, left_out = events_of(drive)
     settings = {} if drive.settings is None else flatten(drive.settings)
     return BagAnalysis(
         name=drive.name,
         metrics=metrics,
         states=time_in_state(drive),
         charts=charts_of(drive, bags),
-        events=events_of(drive),
+        events=events,
+        events_left_out=left_out,
         settings={name: yaml_text(value) for name, value in settings.items()},
         topics=drive.run.message_counts,
         used=drive.run.topics,
-        notes=(*drive.notes, *notes),
+        notes=(*drive.notes, *notes, *filter(None, [left_out])),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from adp_path_follower.analysis.drive import Drive, controller_states
@@ -10,6 +11,7 @@ from adp_path_follower.core.errors import FileError
 
 MOST_EVENTS = 500  # that are kept of a bag
 KINDS = ("state", "fault", "warning", "parameter", "path")
+_FIRST_KEPT = ("fault", "state", "parameter", "warning", "path")  # where there are too many
 _ERROR = 2  # level of diagnostics
 
 
@@ -22,8 +24,8 @@ class Event:
     text: str
 
 
-def events_of(drive: Drive) -> tuple[Event, ...]:
-    """Return what happened, in order of time; at most `MOST_EVENTS`."""
+def events_of(drive: Drive) -> tuple[tuple[Event, ...], str]:
+    """Return what happened, in order of time, and a note on what is left out of it, if anything."""
     run = drive.run
     states = controller_states(run.diagnostics)
     events = [
@@ -45,7 +47,26 @@ def events_of(drive: Drive) -> tuple[Event, ...]:
         for time, points in run.paths
     ]
     events += _changes(drive)
-    return tuple(sorted(events, key=lambda event: event.time)[:MOST_EVENTS])
+    return thinned(sorted(events, key=lambda event: event.time))
+
+
+def thinned(events: Sequence[Event]) -> tuple[tuple[Event, ...], str]:
+    """Return at most `MOST_EVENTS` of the events, and a note on how many of which kind are not.
+
+    What matters most is kept whole, and the first kind for which there is no room thinned evenly: a
+    planner that sends a path every second must not hide a fault.
+    """
+    kept: list[int] = []
+    left_out = []
+    for kind in _FIRST_KEPT:
+        places = [place for place, event in enumerate(events) if event.kind == kind]
+        room = MOST_EVENTS - len(kept)
+        if len(places) > room:
+            left_out.append(f"{len(places) - room} of {len(places)} {kind} events")
+            places = [places[index * len(places) // room] for index in range(room)]
+        kept += places
+    note = f"{', '.join(left_out)} are left out of figure and list" if left_out else ""
+    return tuple(events[place] for place in sorted(kept)), note
 
 
 def _changes(drive: Drive) -> list[Event]:

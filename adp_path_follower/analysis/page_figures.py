@@ -243,7 +243,12 @@ def _events(analyses: Sequence[BagAnalysis]) -> go.Figure:
             name=_plain(analysis.name),
             hovertemplate="%{x:.2f} s: %{text}<extra></extra>",
         )
-    figure.update_yaxes(categoryorder="array", categoryarray=list(reversed(KINDS)), automargin=True)
+    figure.update_yaxes(  # all kinds, so that figures of several reports can be compared
+        categoryorder="array",
+        categoryarray=list(reversed(KINDS)),
+        range=[-0.5, len(KINDS) - 0.5],
+        automargin=True,
+    )
     figure.update_xaxes(title_text="time [s]", range=_span(analyses))
     figure.update_layout(height=_FRAME + _PANEL_HEIGHT, showlegend=len(analyses) > 1)
     return figure

@@ -13,7 +13,6 @@ from adp_path_follower.analysis.bag_metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.page import write_page
 from adp_path_follower.analysis.page_figures import COLORS, motions, page_figures
 
-_EVENTS_SHOWN = 100
 CAPTIONS = {
     "track": (
         "Path and track",
@@ -79,7 +78,6 @@ def write_report(
             for analysis in analyses
         ],
         captions=[(key, *CAPTIONS[key]) for key in CAPTIONS if key in figures],
-        events_shown=_EVENTS_SHOWN,
         number=number,
         nan=math.nan,
     )
