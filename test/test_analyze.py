@@ -132,6 +132,38 @@ def test_the_page_needs_no_network_and_marks_the_best(reported):
     assert re.search(r"best\">0.05 <span title=\"best\">★", row)
 
 
+def test_bags_of_the_same_name_are_told_apart(tmp_path):
+    """As those of two demonstrations, which are both called "bag"."""
+    for run, offset in (("slow", 0.05), ("fast", 0.01)):
+        write_bag(tmp_path / run / "bag", drive_on_line(lambda _, far=offset: far, duration=2.0))
+    required = ("--require", "cross_track_max<0.02")
+    done = adp("analyze", "slow/bag", "fast/bag", "--out", "out", *required, cwd=tmp_path)
+    assert "not met by slow/bag: " in done.stderr
+    assert done.stdout.splitlines()[0].split() == ["slow/bag", "fast/bag"]
+    content = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert [bag["name"] for bag in content["bags"]] == ["slow/bag", "fast/bag"]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    groups = re.findall(r'"legendgroup":"([^"]*)"', page)
+    assert len(set(groups)) == 2
+    assert groups.count(groups[0]) == len(groups) / 2
+
+
+@pytest.mark.parametrize(
+    ("bags", "names"),
+    [
+        (["/a/bag"], ["bag"]),
+        (["/a/run", "/a/bag", "/b/bag"], ["run", "a/bag", "b/bag"]),
+        (["/a/x/bag", "/b/x/bag", "/b/y/bag"], ["a/x/bag", "b/x/bag", "y/bag"]),
+        (["/x/bag", "/a/x/bag"], ["/x/bag", "a/x/bag"]),
+        (["/a/bag", "/a/bag", "/b/bag"], ["a/bag", "a/bag (2)", "b/bag"]),
+    ],
+)
+def test_names_are_as_long_as_they_must_be(bags, names):
+    from adp_path_follower.analysis.bag_analysis import names_of
+
+    assert names_of([Path(bag) for bag in bags]) == names
+
+
 def test_names_that_look_like_tags_stay_text(tmp_path):
     """ROS has no such names, but a file may."""
     attack = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,12 +51,35 @@ class BagAnalysis:
         return with_states(self.metrics, self.states)
 
 
+def names_of(bags: Sequence[Path]) -> list[str]:
+    """Return a name for each bag: its own, with as many folders before it as tell it from others.
+
+    A bag that is given twice gets a number.
+    """
+    parts = [bag.resolve().parts for bag in bags]
+    found = []
+    for number, own in enumerate(parts):
+        others = [other for other in parts if other != own]
+        shown = next(
+            (
+                count
+                for count in range(1, len(own))
+                if all(other[-count:] != own[-count:] for other in others)
+            ),
+            len(own),
+        )
+        again = parts[:number].count(own)
+        found.append(str(Path(*own[-shown:])) + (f" ({again + 1})" if again else ""))
+    return found
+
+
 def analyse_bag(
     bag: Path,
     names: Mapping[str, str],
     bags: int,
     trajectory: Path,
     progress: Callable[[float], None] | None = None,
+    title: str | None = None,
 ) -> BagAnalysis:
     """Return the analysis of a bag, and write its trajectory.
 
@@ -66,6 +89,7 @@ def analyse_bag(
         bags: How many bags share the figures.
         trajectory: File for the trajectory, as the tool evo reads it.
         progress: Called with the fraction done.
+        title: What the bag is called; by default, the name of its directory or file.
 
     Raises:
         FileError: The bag cannot be read, or holds no odometry or path.
@@ -77,7 +101,7 @@ def analyse_bag(
     events, left_out = events_of(drive)
     settings = {} if drive.settings is None else flatten(drive.settings)
     return BagAnalysis(
-        name=drive.name,
+        name=bag.name or str(bag) if title is None else title,
         metrics=metrics,
         states=time_in_state(drive),
         charts=charts_of(drive, bags),

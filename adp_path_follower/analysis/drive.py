@@ -68,7 +68,6 @@ class Drive:
     """What the analysis of a bag goes by.
 
     Attributes:
-        name: Name of the bag.
         run: What the bag holds.
         clock: Translates arrival into stamps.
         start: Stamp of the first odometry while the robot was told to move: time 0 [ns].
@@ -87,7 +86,6 @@ class Drive:
 
     """
 
-    name: str
     run: Run
     clock: Clock
     start: int
@@ -138,7 +136,6 @@ def drive_of(bag: Path, run: Run) -> Drive:
     segment_of_pose = _segments(routes, in_force, poses, odometry.values[:, 3])
     segments = tuple(itertools.chain.from_iterable(route.segments for route in routes))
     return Drive(
-        name=bag.name or str(bag),
         run=run,
         clock=clock,
         start=start,

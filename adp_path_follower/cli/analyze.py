@@ -66,23 +66,23 @@ def analyze(
     Writes report.html (one file, opens without network), metrics.json, figures/ and
     trajectory.tum, which the tool evo reads. Exit code 1 if a requirement is not met.
     """
-    from adp_path_follower.analysis.bag_analysis import analyse_bag
+    from adp_path_follower.analysis.bag_analysis import analyse_bag, names_of
     from adp_path_follower.analysis.bag_metrics import parse_requirement
     from adp_path_follower.analysis.bag_pngs import draw_bags
     from adp_path_follower.analysis.report import write_report
 
     limits = [parse_requirement(text) for text in requirements]
-    names = given_topics(odom=odom, cmd=cmd, path=path)
+    topics = given_topics(odom=odom, cmd=cmd, path=path)
     directory = new_directory(
         directory or Path(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
     )
     analyses: list[BagAnalysis] = []
     with writing(directory):
-        for number, bag in enumerate(bags, start=1):
+        for number, (bag, name) in enumerate(zip(bags, names_of(bags), strict=True), start=1):
             file = "trajectory.tum" if len(bags) == 1 else f"trajectory_{number}.tum"
-            with progress_bar(f"reading {bag.name}") as progress:
+            with progress_bar(f"reading {name}") as progress:
                 analyses.append(
-                    analyse_bag(bag.resolve(), names, len(bags), directory / file, progress)
+                    analyse_bag(bag.resolve(), topics, len(bags), directory / file, progress, name)
                 )
         draw_bags(analyses, directory / "figures")
         write_json(directory / "metrics.json", _numbers(analyses, limits))
@@ -135,8 +135,8 @@ def _table(analyses: list[BagAnalysis]) -> str:
     from adp_path_follower.analysis.bag_metrics import METRICS
     from adp_path_follower.analysis.report import number
 
-    width = max(12, *(min(24, len(item.name)) for item in analyses))
-    lines = [f"{'':26}" + "".join(f"{item.name[-24:]:>{width + 2}}" for item in analyses)]
+    width = max(12, *(len(item.name) for item in analyses))
+    lines = [f"{'':26}" + "".join(f"{item.name:>{width + 2}}" for item in analyses)]
     for metric in METRICS:
         cells = "".join(f"{number(item.metrics[metric.name]):>{width + 2}}" for item in analyses)
         lines.append(f"{metric.name:26}{cells}  {metric.unit}".rstrip())
