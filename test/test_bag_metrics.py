@@ -163,6 +163,26 @@ def test_a_thousand_paths_hide_no_fault(tmp_path):
     assert found.events_left_out.startswith(f"{left_out} of 1001 path events are left out")
 
 
+def test_every_path_is_drawn_with_its_corners_and_its_gaps(tmp_path):
+    """Forty paths of 20 cm beside each other, and an arc of 2 m about the origin."""
+    stubs = [
+        ("/path", SECOND + row, path_message([(0.0, float(row)), (0.2, float(row))]))
+        for row in range(1, 41)
+    ]
+    angles = np.linspace(0.0, 0.5 * math.pi, 60)
+    arc = path_message(np.column_stack([2.0 * np.cos(angles), 2.0 * np.sin(angles)]).tolist())
+    messages = [*drive_on_line(lambda _: 0.0, duration=2.0), *stubs, ("/path", SECOND + 50, arc)]
+    found = analysed(tmp_path, sorted(messages, key=lambda item: item[1])).charts.track.path
+    pieces = np.split(found, np.flatnonzero(np.isnan(found[:, 0])))
+    pieces = [piece[np.isfinite(piece[:, 0])] for piece in pieces]
+    assert len(pieces) == 42
+    for row, piece in enumerate(pieces[1:41], start=1):
+        assert piece[[0, -1]] == pytest.approx(np.array([[0.0, row], [0.2, row]]), abs=1e-6)
+    assert np.hypot(*pieces[41].T) == pytest.approx(np.full(len(pieces[41]), 2.0), abs=1e-3)
+    assert len(pieces[41]) >= 12
+    assert len(found) < 5000
+
+
 def test_a_bag_of_another_controller_gets_the_tracking_figures(tmp_path):
     found = analysed(tmp_path, drive_on_line(lambda _: 0.05, commands=twist))
     assert set(found.charts.panels) == {"errors", "commands"}

@@ -41,8 +41,7 @@ def _track(analyses: Sequence[BagAnalysis]) -> Figure:
     axes = figure.subplots()
     for index, analysis in enumerate(analyses):
         track = analysis.charts.track
-        for points in track.path:
-            axes.plot(*points.T, color="0.75", linewidth=4, zorder=1)
+        axes.plot(*track.path.T, color="0.75", linewidth=4, zorder=1)
         if len(analyses) == 1:
             x, y = track.position.T
             dots = axes.scatter(x, y, c=np.abs(track.cross_track), s=5, cmap="viridis", zorder=2)

@@ -5,7 +5,7 @@ Everything here is decimated, so that it stays small however long the bag is.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +13,13 @@ import numpy as np
 from adp_path_follower.analysis.decimation import extremes
 from adp_path_follower.analysis.drive import Drive, Timed, period_of
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path import Path
 
 _BUCKETS = 2000  # of a line, shared by the bags
 _GREY_BUCKETS = 200  # of a weight that is only there for the whole
 _NAMED_WEIGHTS = 10
+_PATH_POINTS = 4000  # of all paths, shared by the bags
+_LEAST_PATH_POINTS = 12  # of each path, however many there are
 _POSES = 4000  # that the robot is moved through, shared by the bags
 _BINS = 60
 _GREATEST = 1e30  # that is drawn; the page has single precision, and the axes need room beyond
@@ -64,7 +67,7 @@ class Track:
     """Where the robot drove.
 
     Attributes:
-        path: Positions of each path, shape (N, 2).
+        path: Positions along all paths, one after the other with a row of NaN between, (N, 2).
         time: Of the points of the track [s], shape (T,).
         position: x, y, shape (T, 2).
         cross_track: Distance from the path with its sign [m], shape (T,).
@@ -74,7 +77,7 @@ class Track:
 
     """
 
-    path: tuple[FloatArray, ...]
+    path: FloatArray
     time: FloatArray
     position: FloatArray
     cross_track: FloatArray
@@ -215,10 +218,8 @@ def _track(drive: Drive, bags: int) -> Track:
                 left=np.nan,
                 right=np.nan,
             )
-    paths = [segment.path for segment in drive.segments]
-    spacing = max(0.05, sum(path.length for path in paths) / 4000)
     return Track(
-        tuple(path.points(spacing)[:, :2] for path in paths[:20]),
+        _path_line([segment.path for segment in drive.segments], bags),
         time[kept],
         poses[kept, :2],
         drive.projection.cross_track[kept],
@@ -226,3 +227,17 @@ def _track(drive: Drive, bags: int) -> Track:
         poses[moving],
         target,
     )
+
+
+def _path_line(paths: Sequence[Path], bags: int) -> FloatArray:
+    """Return positions along all paths as one line with gaps, shape (N, 2).
+
+    However many there are, each keeps a few points, so that its shape is to be seen.
+    """
+    spacing = max(0.05, sum(path.length for path in paths) * bags / _PATH_POINTS)
+    gap = np.full((1, 2), np.nan)
+    pieces = []
+    for path in paths:
+        finest = max(0.05, path.length / _LEAST_PATH_POINTS)
+        pieces += [path.points(min(spacing, finest))[:, :2], gap]
+    return np.concatenate(pieces[:-1])

@@ -78,16 +78,16 @@ def _small(values: np.ndarray) -> np.ndarray:
 def _track(analyses: Sequence[BagAnalysis]) -> go.Figure:
     figure = go.Figure()
     for index, analysis in enumerate(analyses):
-        for number, points in enumerate(analysis.charts.track.path):
-            figure.add_scatter(
-                x=_small(points[:, 0]),
-                y=_small(points[:, 1]),
-                mode="lines",
-                line={"color": _PATH_COLOR, "width": 6, "simplify": False},
-                name="path",
-                showlegend=index == number == 0,
-                hoverinfo="skip",
-            )
+        points = analysis.charts.track.path
+        figure.add_scatter(
+            x=_small(points[:, 0]),
+            y=_small(points[:, 1]),
+            mode="lines",
+            line={"color": _PATH_COLOR, "width": 6, "simplify": False},
+            name="path",
+            showlegend=index == 0,
+            hoverinfo="skip",
+        )
     for index, analysis in enumerate(analyses):
         track = analysis.charts.track
         several = len(analyses) > 1
