@@ -19,6 +19,7 @@ from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 
 _NODE = "path_follower"
+_LISTED = 5  # topics in one note
 _REPORTED = 20_000  # messages between two reports of progress
 _ODOMETRY, _PATH = ("nav_msgs/msg/Odometry",), ("nav_msgs/msg/Path",)
 _NUMBER, _ARRAY = ("std_msgs/msg/Float64",), ("std_msgs/msg/Float64MultiArray",)
@@ -190,12 +191,29 @@ def _chosen(
     return chosen
 
 
+def _unknown_types(connections: list[Connection]) -> list[str]:
+    """Return a note on the topics whose type ROS 2 Jazzy does not have, none without such."""
+    known = get_typestore(Stores.ROS2_JAZZY).fielddefs
+    unknown = {
+        connection.topic: connection.msgtype
+        for connection in connections
+        if connection.msgtype not in known
+    }
+    if not unknown:
+        return []
+    listed = [f"{topic} ({kind})" for topic, kind in sorted(unknown.items())[:_LISTED]]
+    if len(unknown) > _LISTED:
+        listed.append(f"and {len(unknown) - _LISTED} more")
+    return [f"topics of types that are not known here: {', '.join(listed)}: passed over"]
+
+
 class _Collector:
     """Sorts messages by their topics."""
 
     def __init__(self, chosen: dict[str, tuple[str, tuple[str, ...]]], reader: Reader) -> None:
         self._topics = {key: topic for key, (topic, _) in chosen.items() if topic}
         self._notes = [note for _, notes in chosen.values() for note in notes]
+        self._notes += _unknown_types(reader.connections)
         self._counts: dict[str, int] = {}
         self._paths: list[tuple[int, FloatArray]] = []
         self._configurations: list[tuple[int, str]] = []

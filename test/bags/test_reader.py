@@ -129,18 +129,24 @@ def test_types_that_do_not_fit_are_passed_over_with_a_note(tmp_path):
     ]
 
 
-def test_unknown_types_do_not_matter(tmp_path):
+def test_unknown_types_are_passed_over_with_a_note(tmp_path):
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg("float64 secret\n", "nobody_msgs/msg/Nothing"))
     writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
     with writer:
-        unknown = writer.add_connection("/x", "nobody_msgs/msg/Nothing", typestore=store)
+        for number in range(7):
+            unknown = writer.add_connection(
+                f"/x{number}", "nobody_msgs/msg/Nothing", typestore=store
+            )
+            writer.write(unknown, 1, b"\0\1\0\0" + bytes(8))
         odom = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
-        writer.write(unknown, 1, b"\0\1\0\0" + bytes(8))
         writer.write(odom, 2, raw(odometry(2, 1.0, 2.0, 0.0)))
     run = read_run(tmp_path / "bag")
     assert run.series["odom"].values[0, :2].tolist() == [1.0, 2.0]
-    assert run.message_counts["/x"] == 1
+    assert run.message_counts["/x0"] == 1
+    (note,) = run.notes
+    assert note.startswith("topics of types that are not known here: /x0 (nobody_msgs/msg/Nothing)")
+    assert note.endswith(", and 2 more: passed over")
 
 
 def test_messages_of_changing_lengths_stay_in_order(tmp_path):
