@@ -124,6 +124,24 @@ def test_it_opens_without_complaint_and_without_network(pages, browser, name, si
     assert empty == []
 
 
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_the_metrics_can_be_read_on_a_telephone(pages, browser, name):
+    """Name, meaning, unit and every value, without scrolling; the name stays where it must be."""
+    visit = open_page(browser, pages[name], "narrow")
+    table = visit.page.locator("#metrics .scroll")
+    assert table.evaluate("(element) => element.scrollWidth <= element.clientWidth")
+    row = visit.page.locator("#metrics tr", has_text="Median time from odometry")
+    assert "Median time from odometry to its command, as recorded [s]" in row.inner_text()
+    assert "meaning" not in table.inner_text()
+    name_cell = row.locator("th")
+    assert name_cell.evaluate("(element) => getComputedStyle(element).position") == "sticky"
+    assert name_cell.bounding_box()["width"] > 130
+    wide = open_page(browser, pages[name]).page.locator("#metrics tr", has_text="latency_p50")
+    assert wide.inner_text().split("\t")[-2:] == [
+        *("s", "Median time from odometry to its command, as recorded")
+    ]
+
+
 def test_the_slider_moves_the_robot_and_every_line(pages, browser):
     visit = open_page(browser, pages["one"])
     before = visit.robot()
