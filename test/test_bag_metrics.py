@@ -163,6 +163,44 @@ def test_a_thousand_paths_hide_no_fault(tmp_path):
     assert found.events_left_out.startswith(f"{left_out} of 1001 path events are left out")
 
 
+@pytest.mark.parametrize(
+    ("duration", "expected"),
+    [(20.0, 0.01 * math.sin(0.475 * math.pi)), (15.0, 0.5)],
+    ids=["most of it on the path", "too short to tell"],
+)
+def test_the_colours_of_the_track_are_for_what_it_is_like_after_the_start(
+    tmp_path, duration, expected
+):
+    def lateral(time: float) -> float:
+        return 0.5 if time < 5.0 else 0.01 * math.sin(math.pi * time)
+
+    track = analysed(tmp_path, drive_on_line(lateral, duration=duration)).charts.track
+    assert track.color_limit == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_curve_has_one_colour_on_the_page_and_in_the_picture(tmp_path):
+    pytest.importorskip("plotly", reason="the report needs the extra 'report'")
+    from matplotlib.colors import to_hex
+
+    from adp_path_follower.analysis import bag_pngs, page_figures
+
+    found = analysed(tmp_path, learner_run())
+    traces = page_figures.page_figures([found])["weights"]["data"]
+    curves = [
+        (trace["name"], trace["line"]["color"].lower(), trace["line"]["dash"] == "dash")
+        for trace in traces
+        if trace.get("hoverinfo") != "skip"
+    ]
+    picture = bag_pngs._over_time([found], "weights")
+    assert curves == [
+        (line.get_label(), to_hex(line.get_color()), line.get_linestyle() == "--")
+        for axes in picture.axes
+        for line in axes.lines
+        if not line.get_label().startswith("_")
+    ]
+    assert len(curves) == 20
+
+
 def test_every_path_is_drawn_with_its_corners_and_its_gaps(tmp_path):
     """Forty paths of 20 cm beside each other, and an arc of 2 m about the origin."""
     stubs = [

@@ -210,6 +210,8 @@ def test_it_can_be_used_without_seeing_it(pages, browser):
     )
     assert nameless == []
     assert visit.page.get_attribute("html", "lang") == "en"
+    # While playing, the time would be read out sixty times a second.
+    assert visit.page.get_attribute("#now", "aria-live") == "off"
     assert visit.page.locator("h1").count() == 1
     for scheme in ("light", "dark"):
         visit.page.emulate_media(color_scheme=scheme)
@@ -217,12 +219,35 @@ def test_it_can_be_used_without_seeing_it(pages, browser):
             assert contrast(visit.page, name, "--page") >= 4.5
 
 
+def test_the_track_stands_out_from_either_page(pages, browser):
+    """Whatever the distance from the path, also after the theme has changed."""
+    visit = open_page(browser, pages["one"])
+    before = None
+    for scheme in ("light", "dark", "light"):
+        visit.page.emulate_media(color_scheme=scheme)
+        for _ in range(100):  # the page hears of it a little later
+            scale = visit.page.evaluate(
+                "document.getElementById('figure-track')._fullData"
+                ".find((trace) => trace.marker && trace.marker.showscale).marker.colorscale"
+            )
+            if scale != before:
+                break
+            visit.page.wait_for_timeout(20)
+        assert len(scale) == 5
+        assert min(contrast(visit.page, color, "--page") for _, color in scale) >= 3.0
+        before = scale
+
+
 def contrast(page: Any, first: str, second: str) -> float:
-    """Return the contrast ratio of two colours of the page, as WCAG defines it."""
+    """Return the contrast ratio of two colours, or names of the page's, as WCAG defines it."""
 
     def luminance(name: str) -> float:
-        color = page.evaluate(
-            f"getComputedStyle(document.documentElement).getPropertyValue('{name}').trim()"
+        color = (
+            name
+            if name.startswith("#")
+            else page.evaluate(
+                f"getComputedStyle(document.documentElement).getPropertyValue('{name}').trim()"
+            )
         )
         parts = [int(color[at : at + 2], 16) / 255.0 for at in (1, 3, 5)]
         linear = [

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
-from adp_path_follower.analysis.style import COLORS, STYLE
+from adp_path_follower.analysis.palette import DISTANCE_SCALES, color, is_dashed
+from adp_path_follower.analysis.style import STYLE
 
 
 def draw_bags(analyses: Sequence[BagAnalysis], directory: Path) -> list[Path]:
@@ -44,10 +46,12 @@ def _track(analyses: Sequence[BagAnalysis]) -> Figure:
         axes.plot(*track.path.T, color="0.75", linewidth=4, zorder=1)
         if len(analyses) == 1:
             x, y = track.position.T
-            dots = axes.scatter(x, y, c=np.abs(track.cross_track), s=5, cmap="viridis", zorder=2)
-            figure.colorbar(dots, label="|cross-track| [m]")
+            scale = LinearSegmentedColormap.from_list("distance", DISTANCE_SCALES["light"])
+            distance, limit = np.abs(track.cross_track), track.color_limit
+            dots = axes.scatter(x, y, c=distance, s=5, cmap=scale, vmin=0.0, vmax=limit, zorder=2)
+            figure.colorbar(dots, label="|cross-track| [m]", extend="max")
         else:
-            axes.plot(*track.position.T, color=COLORS[index % 6], label=_plain(analysis.name))
+            axes.plot(*track.position.T, color=color(index), label=_plain(analysis.name))
     if len(analyses) > 1:
         axes.legend()
     axes.set_aspect("equal", adjustable="datalim")
@@ -66,13 +70,14 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
             number = 0
             for line in panel.lines:
                 by_line = len(analyses) == 1
-                color = COLORS[(number if by_line else index) % 6]
                 place.plot(
                     line.time,
                     line.values,
-                    color="0.8" if line.background else color,
+                    color="0.8" if line.background else color(number if by_line else index),
                     linewidth=0.5 if line.background else 1.2,
-                    linestyle="--" if by_line and number >= 6 and not line.background else "-",
+                    linestyle="--"
+                    if by_line and is_dashed(number) and not line.background
+                    else "-",
                     label=None if line.background else _plain(line.name),
                 )
                 number += not line.background
@@ -85,7 +90,7 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
                 place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
     if len(analyses) > 1:
         for index, analysis in enumerate(analyses):
-            axes[0].plot([], [], color=COLORS[index % 6], label=_plain(analysis.name))
+            axes[0].plot([], [], color=color(index), label=_plain(analysis.name))
         handles, labels = axes[0].get_legend_handles_labels()
         count = len(analyses)
         axes[0].legend(handles[-count:], labels[-count:], fontsize=8)
@@ -103,7 +108,7 @@ def _histogram(analyses: Sequence[BagAnalysis], key: str) -> Figure:
                 found.counts,
                 found.edges,
                 fill=len(analyses) == 1,
-                color=COLORS[index % 6],
+                color=color(index),
                 label=_plain(analysis.name),
             )
             axes.set_xlabel(found.label)

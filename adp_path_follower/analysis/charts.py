@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adp_path_follower.analysis.bag_metrics import TRANSIENT
 from adp_path_follower.analysis.decimation import extremes
 from adp_path_follower.analysis.drive import Drive, Timed, period_of
 from adp_path_follower.core.geometry import FloatArray
@@ -20,6 +21,7 @@ _GREY_BUCKETS = 200  # of a weight that is only there for the whole
 _NAMED_WEIGHTS = 10
 _PATH_POINTS = 4000  # of all paths, shared by the bags
 _LEAST_PATH_POINTS = 12  # of each path, however many there are
+_LEAST_DISTANCE = 1e-6  # [m] that colours are told apart for
 _POSES = 4000  # that the robot is moved through, shared by the bags
 _BINS = 60
 _GREATEST = 1e30  # that is drawn; the page has single precision, and the axes need room beyond
@@ -71,6 +73,7 @@ class Track:
         time: Of the points of the track [s], shape (T,).
         position: x, y, shape (T, 2).
         cross_track: Distance from the path with its sign [m], shape (T,).
+        color_limit: Distance from which on all have one colour [m].
         moving_time: Times at which the whole is known where it was [s], shape (M,).
         robot: x, y, theta then, shape (M, 3).
         target: x, y of the virtual target then, shape (M, 2); NaN where it was not recorded.
@@ -81,6 +84,7 @@ class Track:
     time: FloatArray
     position: FloatArray
     cross_track: FloatArray
+    color_limit: float
     moving_time: FloatArray
     robot: FloatArray
     target: FloatArray
@@ -223,10 +227,24 @@ def _track(drive: Drive, bags: int) -> Track:
         time[kept],
         poses[kept, :2],
         drive.projection.cross_track[kept],
+        _color_limit(drive),
         time[moving],
         poses[moving],
         target,
     )
+
+
+def _color_limit(drive: Drive) -> float:
+    """Return the distance from the path that 95 % of a run are below [m].
+
+    In the first seconds the robot may be hundreds of times farther away than later, which would
+    leave one colour for all the rest: where there is a rest that is as long, they do not count.
+    """
+    chosen = drive.driving
+    if drive.end >= 2.0 * TRANSIENT:
+        chosen = chosen & (drive.odometry.time >= TRANSIENT)
+    distance = np.abs(drive.projection.cross_track[chosen])
+    return max(float(np.quantile(distance, 0.95)) if len(distance) else 0.0, _LEAST_DISTANCE)
 
 
 def _path_line(paths: Sequence[Path], bags: int) -> FloatArray:

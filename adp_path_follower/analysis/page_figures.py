@@ -12,11 +12,10 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
-from adp_path_follower.analysis.charts import Panel
+from adp_path_follower.analysis.charts import Panel, Track
 from adp_path_follower.analysis.events import KINDS
+from adp_path_follower.analysis.palette import DISTANCE_SCALES, color, is_dashed
 
-# Okabe and Ito's, but for those that vanish on a white or on a black page.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6FDF", "#A6761D")
 _GREY = "rgba(128,128,128,0.35)"
 _PATH_COLOR = "rgba(128,128,128,0.6)"
 _PANEL_HEIGHT = 190  # [px]
@@ -49,7 +48,7 @@ def motions(analyses: Sequence[BagAnalysis]) -> list[dict[str, Any]]:
     return [
         {
             "name": analysis.name,
-            "color": _color(index),
+            "color": color(index),
             "time": _small(analysis.charts.track.moving_time),
             "x": _small(analysis.charts.track.robot[:, 0]),
             "y": _small(analysis.charts.track.robot[:, 1]),
@@ -59,10 +58,6 @@ def motions(analyses: Sequence[BagAnalysis]) -> list[dict[str, Any]]:
         }
         for index, analysis in enumerate(analyses)
     ]
-
-
-def _color(index: int) -> str:
-    return COLORS[index % len(COLORS)]
 
 
 def _plain(text: str) -> str:
@@ -91,21 +86,16 @@ def _track(analyses: Sequence[BagAnalysis]) -> go.Figure:
     for index, analysis in enumerate(analyses):
         track = analysis.charts.track
         several = len(analyses) > 1
-        marker: dict[str, Any] = {"size": 4, "color": _color(index)}
+        marker: dict[str, Any] = {"size": 4, "color": color(index)}
         if not several:
-            marker |= {
-                "color": _small(np.abs(track.cross_track)),
-                "colorscale": "Viridis",
-                "showscale": True,
-                "colorbar": {"title": {"text": "|cross-track| [m]", "side": "right"}},
-            }
+            marker |= _by_distance(track)
         figure.add_scatter(
             x=_small(track.position[:, 0]),
             y=_small(track.position[:, 1]),
             customdata=_small(np.column_stack([track.time, track.cross_track])),
             mode="lines" if several else "markers",
             marker=marker,
-            line={"color": _color(index)},
+            line={"color": color(index)},
             name=_plain(analysis.name),
             hovertemplate="%{customdata[0]:.2f} s: %{customdata[1]:.4f} m<extra></extra>",
         )
@@ -116,6 +106,27 @@ def _track(analyses: Sequence[BagAnalysis]) -> go.Figure:
         showlegend=len(analyses) > 1,
     )
     return figure
+
+
+def _by_distance(track: Track) -> dict[str, Any]:
+    """Return the markers of a track whose colour is the distance from the path.
+
+    The page replaces the colours by those of its theme.
+    """
+    ticks = np.linspace(0.0, track.color_limit, 5)
+    texts = [f"{tick:.3g}" for tick in ticks]
+    return {
+        "color": _small(np.abs(track.cross_track)),
+        "colorscale": list(DISTANCE_SCALES["light"]),
+        "cmin": 0.0,
+        "cmax": track.color_limit,
+        "showscale": True,
+        "colorbar": {
+            "title": {"text": "|cross-track| [m]", "side": "right"},
+            "tickvals": ticks.tolist(),
+            "ticktext": [*texts[:-1], f"≥ {texts[-1]}"],
+        },
+    }
 
 
 def _over_time(key: str, analyses: Sequence[BagAnalysis]) -> go.Figure:
@@ -158,7 +169,7 @@ def _traces(panel: Panel, index: int, bag: str, by_line: bool, named: bool) -> l
     traces = []
     number = 0
     for line in panel.lines:
-        color, dash = (_color(number), ("solid", "dash")[number // len(COLORS) % 2])
+        dash = "dash" if is_dashed(number) else "solid"
         name = line.name if by_line else bag
         traces.append(
             go.Scatter(
@@ -166,7 +177,7 @@ def _traces(panel: Panel, index: int, bag: str, by_line: bool, named: bool) -> l
                 y=_small(line.values),
                 mode="lines",
                 line={
-                    "color": _GREY if line.background else color if by_line else _color(index),
+                    "color": _GREY if line.background else color(number if by_line else index),
                     "dash": "solid" if line.background or not by_line else dash,
                     "width": 1 if line.background else 1.6,
                 },
@@ -196,7 +207,7 @@ def _histogram(key: str, analyses: Sequence[BagAnalysis]) -> go.Figure:
             x=0.5 * (found.edges[1:] + found.edges[:-1])[shown],
             y=found.counts[shown],
             width=float(found.edges[1] - found.edges[0]),
-            marker={"color": _color(index), "line": {"color": _color(index), "width": 1}},
+            marker={"color": color(index), "line": {"color": color(index), "width": 1}},
             opacity=0.7 if len(analyses) > 1 else 1.0,
             name=_plain(analysis.name),
             hovertemplate="%{x:.3g} ms: %{y} times<extra></extra>",
@@ -237,7 +248,7 @@ def _events(analyses: Sequence[BagAnalysis]) -> go.Figure:
             mode="markers",
             marker={
                 "size": 11,
-                "color": _color(index),
+                "color": color(index),
                 "symbol": [_SYMBOLS[event.kind] for event in events],
             },
             name=_plain(analysis.name),

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
 from adp_path_follower.analysis.bag_metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.page import write_page
-from adp_path_follower.analysis.page_figures import COLORS, motions, page_figures
+from adp_path_follower.analysis.page_figures import motions, page_figures
+from adp_path_follower.analysis.palette import DISTANCE_SCALES, color
 
 CAPTIONS = {
     "track": (
@@ -65,10 +68,10 @@ def write_report(
     write_page(
         file,
         "report",
-        {"figures": figures, "motions": motions(analyses)},
+        {"figures": figures, "motions": motions(analyses), "scales": _scales()},
         title=", ".join(analysis.name for analysis in analyses),
         analyses=analyses,
-        colors=[COLORS[index % len(COLORS)] for index in range(len(analyses))],
+        colors=[color(index) for index in range(len(analyses))],
         rows=_rows(analyses),
         states=sorted({state for analysis in analyses for state in analysis.states}),
         settings=_settings(analyses),
@@ -81,6 +84,14 @@ def write_report(
         number=number,
         nan=math.nan,
     )
+
+
+def _scales() -> dict[str, list[tuple[float, str]]]:
+    """Return the colours of distances by theme, as Plotly has them: place from 0 to 1, colour."""
+    return {
+        theme: list(zip(np.linspace(0.0, 1.0, len(colors)).tolist(), colors, strict=True))
+        for theme, colors in DISTANCE_SCALES.items()
+    }
 
 
 def number(value: float) -> str:

@@ -6,7 +6,8 @@ import matplotlib as mpl
 
 mpl.use("Agg")  # files only: no window, no display needed
 
-# Okabe and Ito's colours: told apart by the colour-blind too.
+# Okabe and Ito's colours: told apart by the colour-blind too. For pictures that are never on a dark
+# page; what a report shows has those of the palette.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLE = {
     "axes.grid": True,

@@ -92,6 +92,14 @@
     };
     return { axis, changes };
   };
+  // Which markers are coloured by the distance from the path; their colours are the theme's.
+  const coloured = (figure) =>
+    figure.data.flatMap((trace, index) => (trace.marker?.colorscale ? [index] : []));
+  const recolour = (figure) => {
+    const traces = coloured(figure);
+    if (!traces.length) return;
+    Plotly.restyle(figure.element, { "marker.colorscale": [data.scales[dark.matches ? "dark" : "light"]] }, traces);
+  };
   const themed = (figure) => {
     const { axis, changes } = theme();
     const all = { ...changes };
@@ -116,11 +124,15 @@
       for (const trace of figure.data) {
         if (trace.marker && trace.marker.colorbar) {
           trace.marker.colorbar = {
+            ...trace.marker.colorbar,
             title: { text: "|cross-track| [m]", side: "top" }, orientation: "h", y: -0.18, yanchor: "top", thickness: 10,
           };
           layout.margin.b = 96;
         }
       }
+    }
+    for (const index of coloured(figure)) {
+      figure.data[index].marker.colorscale = data.scales[dark.matches ? "dark" : "light"];
     }
     await Plotly.newPlot(figure.element, figure.data, layout, {
       responsive: true, displaylogo: false, scrollZoom: false,
@@ -192,6 +204,7 @@
   dark.addEventListener("change", () => {
     for (const figure of figures) {
       Plotly.relayout(figure.element, { ...themed(figure), shapes: shapes(figure) });
+      recolour(figure);
     }
   });
 

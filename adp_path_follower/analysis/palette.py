@@ -1,0 +1,23 @@
+"""The colours of bags and curves, the same on the page and in the pictures beside it."""
+
+from __future__ import annotations
+
+# Okabe and Ito's, but for those that vanish on a white or on a black page.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6FDF", "#A6761D")
+
+# From the path outwards. Each is the part of Viridis that stands out from its page: what is far
+# from the path does most.
+DISTANCE_SCALES = {
+    "light": ("#1e9c89", "#2a788e", "#38588c", "#472f7d", "#440154"),
+    "dark": ("#2a788e", "#1e9c89", "#44bf70", "#a0da39", "#fde725"),
+}
+
+
+def color(index: int) -> str:
+    """Return the colour of a bag or of a curve; after the last one the first comes again."""
+    return COLORS[index % len(COLORS)]
+
+
+def is_dashed(index: int) -> bool:
+    """Return whether the curve of a colour that was there before is dashed."""
+    return index // len(COLORS) % 2 == 1
