@@ -178,6 +178,32 @@ def test_the_colours_of_the_track_are_for_what_it_is_like_after_the_start(
     assert track.color_limit == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.parametrize("late", [(), (7, 13), (3,)], ids=["even", "two late", "one late"])
+@pytest.mark.parametrize("rate", [20, 50, 100])
+def test_the_usual_period_is_one_bar(tmp_path, rate, late):
+    """Stamps of a whole rate differ by rounding only, which must not make two bars of it."""
+    messages = [("/path", 0, LINE)]
+    for step in range(200):
+        stamp = SECOND + step * SECOND // rate + (3_000_000 if step in late else 0)
+        messages.append(("/odom", stamp, odometry(stamp, 0.5 * step / rate, 0.0, 0.0)))
+        messages.append(("/cmd_vel", stamp, twist_stamped(stamp, 0.5, 0.0)))
+    found = analysed(tmp_path, messages).charts.histograms["period"]
+    assert found.counts.sum() == 199
+    assert sorted(found.counts[found.counts > 0].tolist()) == sorted(
+        [199 - 2 * len(late), *([len(late)] * 2 if late else [])]
+    )
+    place = int(found.counts.argmax())
+    assert found.edges[place : place + 2].mean() == pytest.approx(1000.0 / rate)
+
+
+def test_the_picture_of_a_histogram_shows_a_single_count(tmp_path):
+    from adp_path_follower.analysis import bag_pngs
+
+    found = analysed(tmp_path, drive_on_line(lambda _: 0.0))
+    (axes,) = bag_pngs._histogram([found], "period").axes
+    assert axes.get_ylim()[0] < 1.0
+
+
 def test_a_curve_has_one_colour_on_the_page_and_in_the_picture(tmp_path):
     pytest.importorskip("plotly", reason="the report needs the extra 'report'")
     from matplotlib.colors import to_hex

@@ -113,6 +113,7 @@ def _histogram(analyses: Sequence[BagAnalysis], key: str) -> Figure:
             )
             axes.set_xlabel(found.label)
     axes.set_yscale("log")
+    axes.set_ylim(bottom=0.5)  # so that what was there once is seen beside what was always there
     axes.set_ylabel("how often")
     if len(analyses) > 1:
         axes.legend()

@@ -5,6 +5,7 @@ Everything here is decimated, so that it stays small however long the bag is.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -197,11 +198,15 @@ def _size(values: FloatArray) -> FloatArray:
 
 def _histogram(label: str, values: FloatArray) -> Histogram:
     values = values[np.isfinite(values)]
-    # Even where all values are the same but for rounding the bins have a width to be seen.
-    middle, half = 0.5 * (values.max() + values.min()), 0.5 * np.ptp(values)
-    half = max(half, 0.05 * abs(middle), 0.05)
-    counts, edges = np.histogram(values, _BINS, (middle - half, middle + half))
-    return Histogram(label, edges, counts)
+    # Even where all values are the same but for rounding the bins have a width to be seen, and the
+    # usual value is in the middle of one: at an edge, rounding would tear it apart.
+    usual = float(np.median(values))
+    least = max(0.05 * abs(usual), 0.05)
+    low, high = min(float(values.min()), usual - least), max(float(values.max()), usual + least)
+    width = (high - low) / _BINS
+    first, last = math.floor((low - usual) / width), math.ceil((high - usual) / width)
+    edges = np.asarray(usual + width * (np.arange(first, last + 2) - 0.5), dtype=float)
+    return Histogram(label, edges, np.histogram(values, edges)[0])
 
 
 def _track(drive: Drive, bags: int) -> Track:
