@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from click.core import ParameterSource
 
 from adp_path_follower.bags.reader import Run, read_run
 from adp_path_follower.bags.replay import Replay
@@ -92,6 +93,7 @@ def replay(
     How it would have moved:  adp replay my_bag --params other.yaml --closed-loop
     To a live controller:     adp replay my_bag --republish --rate 2
     """
+    _refuse_contradictions(republish, closed_loop)
     check_writable(csv_file, figure_file)
     run = read_run(bag, given_topics(odom=odom, cmd=cmd, path=path))
     if republish:
@@ -102,8 +104,6 @@ def replay(
     velocity: FloatArray | None = None
     differs = False
     if closed_loop:
-        if csv_file or figure_file:
-            raise AdpError("--csv and --figure compare commands step by step: not --closed-loop")
         found, velocity = rerun(run, settings, overlay)
     else:
         found = replay_run(run, settings, overlay)
@@ -126,6 +126,33 @@ def replay(
             write_replay(found, bag, run.topics, replayed, velocity)
             _write_report(bag, run.topics, replayed, closed_loop)
     sys.exit(1 if differs else 0)
+
+
+def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
+    """Refuse options that would do nothing beside others.
+
+    Raises:
+        AdpError: There is one; the sentence names both.
+
+    """
+    context = click.get_current_context()
+
+    def refuse(reason: str, *names: str) -> None:
+        for option in context.command.params:
+            is_given = (
+                context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
+            )
+            if is_given and option.name in names:
+                raise AdpError(f"{reason}: not with {option.opts[0]}")
+
+    comparisons = ("csv_file", "figure_file")
+    if republish:
+        reason = "--republish plays what was recorded to a controller with settings of its own"
+        refuse(reason, "params", "assignments", "closed_loop", "directory", *comparisons)
+    else:
+        refuse("without --republish nothing is played", "rate")
+    if closed_loop:
+        refuse("--closed-loop has other steps than the recording, so none to compare", *comparisons)
 
 
 def _wanted(

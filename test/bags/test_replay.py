@@ -242,6 +242,33 @@ def test_topics_of_other_names_and_the_report_about_them(bag, tmp_path, closed_l
     assert topics >= {"/plan", "/cmd_vel", "/odom" if closed_loop else "/filtered"}
 
 
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        *(
+            (["--republish", *option], f"settings of its own: not with {option[0]}")
+            for option in (
+                ["--closed-loop"],
+                ["--params", "other.yaml"],
+                ["--set", "target_gain=0.5"],
+                ["--csv", "both.csv"],
+                ["--figure", "both.png"],
+                ["--out", "out"],
+            )
+        ),
+        (["--rate", "2"], "without --republish nothing is played: not with --rate"),
+        (["--closed-loop", "--csv", "both.csv"], "none to compare: not with --csv"),
+        (["--closed-loop", "--figure", "both.png"], "none to compare: not with --figure"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(bag, tmp_path, options, sentence):
+    done = adp("replay", str(bag), *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert sentence in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_full_disk_is_one_sentence(bag, tmp_path):
     done = adp("replay", str(bag), "--csv", "/dev/full", cwd=tmp_path)
     assert done.returncode == 2

@@ -6,10 +6,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from bag_messages import odometry, path_message, raw
+from commands import adp
 from geometry_msgs.msg import Twist, TwistStamped
 from std_srvs.srv import Trigger
 
@@ -23,6 +25,7 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.nodes import republisher
 from adp_path_follower.nodes.closed_loop import run_closed_loop
 from adp_path_follower.nodes.republisher import recorded_messages
 from adp_path_follower.simulation import PAPER_START
@@ -203,13 +206,20 @@ def test_messages_that_are_cut_are_not_played(tmp_path):
         recorded_messages(tmp_path / "bag", {"odom": "/path", "path": "/odom"})
 
 
-def test_nobody_to_play_to_and_nothing_to_play_are_one_sentence(bag, tmp_path):
+def test_nothing_to_play_is_one_sentence(tmp_path):
     done = adp_replay(tmp_path, str(tmp_path / "none"))
     assert done.returncode == 2
     assert done.stderr == f"adp: bag {tmp_path / 'none'} does not exist\n"
-    done = adp_replay(tmp_path, str(bag), "--closed-loop", "--csv", "both.csv")
-    assert done.returncode == 2
-    assert "not --closed-loop" in done.stderr
+
+
+def test_an_interrupted_player_is_exit_code_130(bag, tmp_path, monkeypatch):
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(republisher, "_Player", Mock(return_value=Mock(play=interrupted)))
+    monkeypatch.setattr(republisher, "rclpy", Mock())  # the test's own nodes stay
+    done = adp("replay", str(bag), "--republish", cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "adp: interrupted")
 
 
 def test_what_a_configuration_says_is_read_again():
