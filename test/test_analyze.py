@@ -203,7 +203,10 @@ def test_damaged_numbers_of_the_learner_raise_no_warning(tmp_path, value):
 
 BAD_INPUT = [
     (["missing"], "bag {folder}/missing does not exist"),
-    (["empty"], "bag {folder}/empty cannot be read"),
+    (["empty"], "directory {folder}/empty holds no bag: neither metadata.yaml nor .mcap"),
+    (["torn"], "bag {folder}/torn has no metadata.yaml: `adp recover` makes a bag of MCAP files"),
+    (["run.mcap.zstd"], "run.mcap.zstd is packed: give the directory of its bag, or unpack it"),
+    (["run.csv"], "run.csv is no bag: give a directory, or one .mcap or .db3 file"),
     (["good", "--odom", "/nowhere"], "has no topic /nowhere; of a type that fits are: /odom"),
     (["good", "--cmd", "/odom"], "topic /odom of bag {folder}/good has the type nav_msgs"),
     (["good", "--require", "speed<1"], "--require 'speed<1' names no metric"),
@@ -228,6 +231,10 @@ def folder(tmp_path_factory) -> Path:
     write_bag(found / "point", [("/path", 0, path_message([(1.0, 2.0)])), *run[1:]])
     write_bag(found / "nan", [run[0], ("/odom", 1, odometry(1, math.nan, 0.0, 0.0))])
     (found / "empty").mkdir()
+    write_bag(found / "torn", run)
+    (found / "torn" / "metadata.yaml").unlink()
+    for name in ("run.mcap.zstd", "run.csv"):
+        (found / name).write_bytes(b"something")
     return found
 
 
@@ -240,6 +247,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, arguments, expected):
     assert expected.format(folder=folder) in done.stderr
     assert "Traceback" not in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+    assert not (folder / "out").exists()
 
 
 def test_a_full_disk_is_one_sentence(folder, tmp_path, monkeypatch):
@@ -252,6 +260,10 @@ def test_a_full_disk_is_one_sentence(folder, tmp_path, monkeypatch):
     done = adp("analyze", str(folder / "good"), "--out", "out", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr == "adp: output out cannot be written: No space left on device\n"
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "mine").mkdir()
+    adp("analyze", str(folder / "good"), "--out", "mine", cwd=tmp_path)
+    assert not list((tmp_path / "mine").iterdir())
 
 
 def test_help_teaches(tmp_path):

@@ -19,6 +19,7 @@ from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 
 _NODE = "path_follower"
+_FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")
 _LISTED = 5  # topics in one note
 _REPORTED = 20_000  # messages between two reports of progress
 _ODOMETRY, _PATH = ("nav_msgs/msg/Odometry",), ("nav_msgs/msg/Path",)
@@ -126,8 +127,7 @@ def read_run(
             odometry or of the path can be decoded.
 
     """
-    if not bag.exists():
-        raise FileError(f"bag {bag} does not exist")
+    _refuse_what_is_no_bag(bag)
     try:
         with Reader(bag) as reader:
             collector = _Collector(_chosen(bag, reader.connections, names or {}), reader)
@@ -143,6 +143,34 @@ def read_run(
         raise FileError(
             f"bag {bag} cannot be read: {reason.rstrip('.')}; `adp recover` may save what is in it"
         ) from None
+
+
+def _refuse_what_is_no_bag(bag: Path) -> None:
+    """Say what is there instead of a bag, before the library says that it cannot be read.
+
+    Raises:
+        FileError: It is no bag.
+
+    """
+    if not bag.exists():
+        raise FileError(f"bag {bag} does not exist")
+    if bag.suffix in _PACKED and bag.is_file():
+        raise FileError(
+            f"file {bag} is packed: give the directory of its bag, or unpack it with: unzstd "
+            f"{bag.name}"
+        )
+    if bag.is_file() and bag.suffix not in _FILES:
+        raise FileError(f"file {bag} is no bag: give a directory, or one .mcap or .db3 file")
+    if bag.is_dir() and not (bag / "metadata.yaml").exists():
+        files = [file for file in bag.iterdir() if set(file.suffixes) & set(_FILES)]
+        if not files:
+            raise FileError(
+                f"directory {bag} holds no bag: neither metadata.yaml nor .mcap or .db3"
+            )
+        raise FileError(
+            f"bag {bag} has no metadata.yaml: `adp recover` makes a bag of MCAP files, `ros2 bag "
+            "reindex` of others; or give one of its files"
+        )
 
 
 def _chosen(

@@ -22,6 +22,11 @@ from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.weights_file import SavedWeights, decode
 
+NO_SETTINGS = (
+    "the bag does not say with which settings a controller of this package ran "
+    "(path_follower/configuration): give some by --params"
+)
+
 
 def recorded_settings(run: Run) -> Settings:
     """Return the settings that the controller said last it runs with.
@@ -31,6 +36,8 @@ def recorded_settings(run: Run) -> Settings:
         SettingsError: They are none of this version.
 
     """
+    if not run.configurations:
+        raise FileError(NO_SETTINGS)
     return parse_configuration(run.configuration).settings
 
 
@@ -59,7 +66,7 @@ class RecordedDriver:
 
         """
         if not any(len(poses) for _, poses in run.paths):
-            raise FileError("the bag has no path: nothing to replay")
+            raise FileError("the bag has no path: name a topic of nav_msgs/msg/Path by --path")
         self._fixed, self._overlay = settings, overlay or {}
         self._routes = RecordedRoutes(run, settings, self._overlay)
         self.configurations: list[tuple[int, str]] = []
@@ -69,7 +76,7 @@ class RecordedDriver:
         self._changes = iter([parse_configuration(text) for _, text in told])
         self._next = next(self._changes, None)
         if self._next is None and settings is None:
-            raise FileError("the bag has no path_follower/configuration: replay it with --params")
+            raise FileError(NO_SETTINGS)
         saved = _saved_weights(run, self._next)
         self._saved_weights = "" if saved is None else saved.digest
         self._driver = Driver(self._wanted(self._next), saved)

@@ -140,7 +140,7 @@ def steps_of(run: Run) -> Steps:
     """
     series = run.series.get("measured_pose", run.series.get("odom"))
     if series is None:
-        raise FileError("the bag has no messages on 'odom': nothing to replay")
+        raise FileError("the bag has no odometry: name a topic of nav_msgs/msg/Odometry by --odom")
     # The simulator repeats odometry that was not answered in time: the first of each stamp counts.
     stamps, first = np.unique(series.stamp, return_index=True)
     if series is run.series.get("odom") and "cmd_vel" in run.series:

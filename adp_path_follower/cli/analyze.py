@@ -14,11 +14,10 @@ import click
 from adp_path_follower.cli.options import (
     FILE,
     given_topics,
-    new_directory,
+    output_directory,
     progress_bar,
     topic_options,
     write_json,
-    writing,
 )
 
 if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to report
@@ -73,11 +72,9 @@ def analyze(
 
     limits = [parse_requirement(text) for text in requirements]
     topics = given_topics(odom=odom, cmd=cmd, path=path)
-    directory = new_directory(
-        directory or Path(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
-    )
+    directory = directory or Path(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
     analyses: list[BagAnalysis] = []
-    with writing(directory):
+    with output_directory(directory):
         for number, (bag, name) in enumerate(zip(bags, names_of(bags), strict=True), start=1):
             file = "trajectory.tum" if len(bags) == 1 else f"trajectory_{number}.tum"
             with progress_bar(f"reading {name}") as progress:

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -213,6 +214,30 @@ def new_directory(directory: Path) -> Path:
     except OSError as error:
         raise FileError(f"output {directory} cannot be made: {error.strerror}") from None
     return directory
+
+
+@contextlib.contextmanager
+def output_directory(directory: Path) -> Iterator[Path]:
+    """Make an output directory, and take back what the block has written if the block fails.
+
+    Half a report is of no use, and the same command again would be refused because of it.
+
+    Raises:
+        FileError: As `new_directory`, or something in it cannot be written.
+
+    """
+    was_there = os.path.lexists(directory)  # which no name is too long for
+    new_directory(directory)
+    try:
+        with writing(directory):
+            yield directory
+    except BaseException:
+        with contextlib.suppress(OSError):
+            for item in directory.iterdir():  # it was empty
+                shutil.rmtree(item) if item.is_dir() else item.unlink()
+            if not was_there:
+                directory.rmdir()
+        raise
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Mapping
 from datetime import datetime
@@ -21,7 +22,7 @@ from adp_path_follower.cli.options import (
     FILE,
     check_writable,
     given_topics,
-    new_directory,
+    output_directory,
     progress_bar,
     settings_options,
     topic_options,
@@ -101,28 +102,22 @@ def replay(
         return
     settings, overlay = _wanted(params, assignments)
     changed = settings is not None or bool(overlay)
-    velocity: FloatArray | None = None
-    differs = False
-    if closed_loop:
-        found, velocity = rerun(run, settings, overlay)
-    else:
-        found = replay_run(run, settings, overlay)
-        weights = compare_weights(run, found)
-        click.echo(_report(found, weights, changed))
-        differs = not changed and _differs(found, weights)
-    if csv_file is not None:
-        with writing(csv_file):
-            _write_csv(found, csv_file)
-    if figure_file is not None:
-        from adp_path_follower.analysis.figures import draw_replay
-
-        with writing(figure_file):
-            draw_replay(found, figure_file)
-    if directory is not None or closed_loop or changed:
-        name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
-        directory = new_directory(directory or Path(name))
-        replayed = directory / f"{bag.resolve().stem}_replayed"
-        with writing(directory):
+    name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
+    is_kept = directory is not None or closed_loop or changed
+    output = output_directory(directory or Path(name)) if is_kept else contextlib.nullcontext()
+    with output as folder:
+        velocity: FloatArray | None = None
+        differs = False
+        if closed_loop:
+            found, velocity = rerun(run, settings, overlay)
+        else:
+            found = replay_run(run, settings, overlay)
+            weights = compare_weights(run, found)
+            click.echo(_report(found, weights, changed))
+            differs = not changed and _differs(found, weights)
+        _write_comparison(found, csv_file, figure_file)
+        if folder is not None:
+            replayed = folder / f"{bag.resolve().stem}_replayed"
             write_replay(found, bag, run.topics, replayed, velocity)
             _write_report(bag, run.topics, replayed, closed_loop)
     sys.exit(1 if differs else 0)
@@ -174,7 +169,7 @@ def _republish(bag: Path, run: Run, rate: float) -> None:
         ) from None
     for key in ("odom", "path"):
         if key not in run.topics:
-            raise AdpError(f"bag {bag} has no topic '{key}': nothing to play")
+            raise AdpError(f"bag {bag} has no topic named '{key}': name one by --{key}")
     with progress_bar("playing") as progress:
         count, damaged = republish(bag, run.topics, rate, progress)
     click.echo(f"played {count} messages")
@@ -182,10 +177,18 @@ def _republish(bag: Path, run: Run, rate: float) -> None:
         click.echo(f"adp: {damaged} messages cannot be decoded: passed over", err=True)
 
 
-def _write_csv(found: Replay, file: Path) -> None:
-    table = np.column_stack([_seconds(found), found.recorded, found.replayed])
-    header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
-    np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.17g")
+def _write_comparison(found: Replay, csv_file: Path | None, figure_file: Path | None) -> None:
+    """Write recorded and replayed commands as a table, and as a picture."""
+    if csv_file is not None:
+        table = np.column_stack([_seconds(found), found.recorded, found.replayed])
+        header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
+        with writing(csv_file):
+            np.savetxt(csv_file, table, delimiter=",", header=header, comments="", fmt="%.17g")
+    if figure_file is not None:
+        from adp_path_follower.analysis.figures import draw_replay
+
+        with writing(figure_file):
+            draw_replay(found, figure_file)
 
 
 def _write_report(bag: Path, topics: Mapping[str, str], replayed: Path, closed_loop: bool) -> None:

@@ -242,6 +242,28 @@ def test_topics_of_other_names_and_the_report_about_them(bag, tmp_path, closed_l
     assert topics >= {"/plan", "/cmd_vel", "/odom" if closed_loop else "/filtered"}
 
 
+SETTINGS_MISSING = "the bag does not say with which settings a controller of this package ran"
+PARAMETERS = ["--set", "target_gain=0.5"]
+
+
+@pytest.mark.parametrize(
+    ("missing", "options", "sentence"),
+    [
+        ("/path_follower/configuration", [], SETTINGS_MISSING),
+        ("/path_follower/configuration", PARAMETERS, SETTINGS_MISSING),
+        ("/path_follower/configuration", ["--closed-loop"], SETTINGS_MISSING),
+        ("/path", [], "the bag has no path: name a topic of nav_msgs/msg/Path by --path"),
+        ("/odom", [], "the bag has no odometry: name a topic of nav_msgs/msg/Odometry by --odom"),
+    ],
+)
+def test_what_a_bag_lacks_is_said_with_what_helps(bag, tmp_path, missing, options, sentence):
+    renamed(bag, tmp_path / "other", {missing: None})
+    done = adp("replay", "other", *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"adp: {sentence}")
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
@@ -273,3 +295,6 @@ def test_a_full_disk_is_one_sentence(bag, tmp_path):
     done = adp("replay", str(bag), "--csv", "/dev/full", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr == "adp: output /dev/full cannot be written: No space left on device\n"
+    done = adp("replay", str(bag), *PARAMETERS, "--csv", "/dev/full", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert not list(tmp_path.iterdir())
