@@ -36,7 +36,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory) -> dict[str, Path]:
-    """Return reports of one bag, of two, and of one full of tags."""
+    """Return reports of one bag, of two, of another controller's, and of one full of tags."""
     folder = tmp_path_factory.mktemp("pages")
     bags = {
         "mine": learner_run(),
@@ -50,7 +50,8 @@ def pages(tmp_path_factory) -> dict[str, Path]:
         write_bag(folder / name, messages)
     found = {}
     mine, other, hostile = bags
-    for title, names in {"one": [mine], "two": [mine, other], "hostile": [hostile]}.items():
+    contents = {"one": [mine], "two": [mine, other], "foreign": [other], "hostile": [hostile]}
+    for title, names in contents.items():
         analyses = [
             analyse_bag(folder / name, {}, len(names), folder / "trajectory.tum") for name in names
         ]
@@ -162,6 +163,15 @@ def test_the_slider_moves_the_robot_and_every_line(pages, browser):
                 break
             visit.page.wait_for_timeout(20)
         assert visit.cursor(figure) == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("name", ["one", "two", "foreign"])
+def test_captions_speak_of_what_is_there(pages, browser, name):
+    text = open_page(browser, pages[name]).page.inner_text("main")
+    learned = name != "foreign"
+    assert ("virtual target" in text) == learned
+    assert ("dashed lines are the limits" in text) == learned
+    assert ("colour is the distance" in text) == (name != "two")
 
 
 def test_all_kinds_of_events_have_their_place(pages, browser):

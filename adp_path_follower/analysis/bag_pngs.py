@@ -12,6 +12,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
+from adp_path_follower.analysis.events import KINDS
 from adp_path_follower.analysis.palette import DISTANCE_SCALES, color, is_dashed
 from adp_path_follower.analysis.style import STYLE
 
@@ -25,6 +26,8 @@ def draw_bags(analyses: Sequence[BagAnalysis], directory: Path) -> list[Path]:
     drawings: dict[str, Callable[[], Figure]] = {"track": partial(_track, analyses)}
     drawings |= {key: partial(_over_time, analyses, key) for key in panels}
     drawings |= {key: partial(_histogram, analyses, key) for key in histograms}
+    if any(analysis.events for analysis in analyses):
+        drawings["events"] = partial(_events, analyses)
     files = []
     with mpl.rc_context(STYLE):
         for name, draw in drawings.items():
@@ -115,6 +118,21 @@ def _histogram(analyses: Sequence[BagAnalysis], key: str) -> Figure:
     axes.set_yscale("log")
     axes.set_ylim(bottom=0.5)  # so that what was there once is seen beside what was always there
     axes.set_ylabel("how often")
+    if len(analyses) > 1:
+        axes.legend()
+    return figure
+
+
+def _events(analyses: Sequence[BagAnalysis]) -> Figure:
+    figure = Figure(figsize=(9.0, 3.0))
+    axes = figure.subplots()
+    for index, analysis in enumerate(analyses):
+        times = [event.time for event in analysis.events]
+        rows = [KINDS.index(event.kind) for event in analysis.events]
+        axes.plot(times, rows, "o", color=color(index), label=_plain(analysis.name))
+    axes.set_yticks(range(len(KINDS)), KINDS)
+    axes.set_ylim(len(KINDS) - 0.5, -0.5)  # the first kind on top
+    axes.set_xlabel("time [s]")
     if len(analyses) > 1:
         axes.legend()
     return figure

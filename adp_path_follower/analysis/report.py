@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
 from adp_path_follower.analysis.bag_metrics import METRICS, Metric, Requirement
+from adp_path_follower.analysis.charts import Charts
 from adp_path_follower.analysis.page import write_page
 from adp_path_follower.analysis.page_figures import motions, page_figures
 from adp_path_follower.analysis.palette import DISTANCE_SCALES, color
@@ -19,15 +20,15 @@ from adp_path_follower.analysis.palette import DISTANCE_SCALES, color
 CAPTIONS = {
     "track": (
         "Path and track",
-        "The robot's track beside the path. The arrow is the robot, the ring its virtual target, "
-        "at the time of the slider below.",
+        "The robot's track beside the path. The arrow is the robot at the time of the slider "
+        "below.",
     ),
     "errors": (
         "Tracking errors",
         "Distance and angle to the nearest place of the path, positive to its left, from odometry "
-        "and path alone; s is how far the robot is ahead of its virtual target.",
+        "and path alone.",
     ),
-    "commands": ("Commands", "What the robot was told, and the limits as dashed lines."),
+    "commands": ("Commands", "What the robot was told."),
     "cost": ("Cost to date", "∫ eᵀQe + uᵀRu so far, as the controller counts it."),
     "weights": (
         "Critic and actor weights",
@@ -50,6 +51,29 @@ CAPTIONS = {
     ),
     "events": ("Events", "State changes, faults, parameter changes and new paths."),
 }
+_COLOR_CAPTION = (
+    "Its colour is the distance from the path, and stays the same beyond the end of the scale."
+)
+# Figure, what more is said of it, and which bags that is true of.
+_DETAILS: tuple[tuple[str, str, Callable[[Charts], bool]], ...] = (
+    (
+        "track",
+        "The ring is its virtual target.",
+        lambda charts: bool(np.isfinite(charts.track.target).any()),
+    ),
+    (
+        "errors",
+        "s is how far the robot is ahead of its virtual target.",
+        lambda charts: len(charts.panels["errors"]) > 2,
+    ),
+    (
+        "commands",
+        "The dashed lines are the limits.",
+        lambda charts: any(
+            np.isfinite(panel.limits).any() for panel in charts.panels.get("commands", ())
+        ),
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -80,10 +104,30 @@ def write_report(
             for requirement in requirements
             for analysis in analyses
         ],
-        captions=[(key, *CAPTIONS[key]) for key in CAPTIONS if key in figures],
+        captions=_captions(analyses, figures),
         number=number,
         nan=math.nan,
     )
+
+
+def _captions(
+    analyses: Sequence[BagAnalysis], figures: Mapping[str, Any]
+) -> list[tuple[str, str, str]]:
+    """Return key, title and caption of each figure; nothing is said of what no bag has."""
+    found = []
+    for key, (title, text) in CAPTIONS.items():
+        if key not in figures:
+            continue
+        sentences = [text]
+        if key == "track" and len(analyses) == 1:
+            sentences.append(_COLOR_CAPTION)
+        sentences += [
+            sentence
+            for place, sentence, is_true_of in _DETAILS
+            if place == key and any(is_true_of(analysis.charts) for analysis in analyses)
+        ]
+        found.append((key, title, " ".join(sentences)))
+    return found
 
 
 def _scales() -> dict[str, list[tuple[float, str]]]:
