@@ -112,9 +112,10 @@ def replay(
             found, velocity = rerun(run, settings, overlay)
         else:
             found = replay_run(run, settings, overlay)
-            weights = compare_weights(run, found)
-            click.echo(_report(found, weights, changed))
-            differs = not changed and _differs(found, weights)
+            # With other parameters other weights are what was asked for.
+            weights = None if changed else compare_weights(run, found)
+            click.echo(_report(found, weights))
+            differs = weights is not None and _differs(found, weights)
         _write_comparison(found, csv_file, figure_file)
         if folder is not None:
             replayed = folder / f"{bag.resolve().stem}_replayed"
@@ -214,8 +215,8 @@ def _write_report(bag: Path, topics: Mapping[str, str], replayed: Path, closed_l
     click.echo(f"In {directory}: report.html, {replayed.name}/ (rosbag2, MCAP), trajectory_*.tum")
 
 
-def _report(found: Replay, weights: ComparedWeights, changed: bool) -> str:
-    """Return how recorded and replayed commands and weights compare."""
+def _report(found: Replay, weights: ComparedWeights | None) -> str:
+    """Return how recorded and replayed commands compare, and weights where they should agree."""
     same = found.identical[found.answered]
     if not len(same):
         lines = [f"{len(found.stamp)} steps replayed; the bag has no commands to compare with"]
@@ -223,7 +224,7 @@ def _report(found: Replay, weights: ComparedWeights, changed: bool) -> str:
         lines = [f"{int(same.sum())} of {len(same)} commands are identical to the last bit"]
     if not same.all():
         lines += _differences(found)
-    if changed:  # then other weights are what was asked for
+    if weights is None:
         return "\n".join(lines)
     if len(weights.identical):
         count, total = int(weights.identical.sum()), len(weights.identical)
