@@ -28,6 +28,7 @@ _NANOSECONDS = 1_000_000_000
 _CLOCK_PERIOD = 10_000_000  # [ns] between two messages on /clock, at most
 _DELIVERY_TIMEOUT = 1.0  # [s]
 _SETTLING = 5.0  # [s] for both sides to find each other
+_PATH_PERIOD = 1.0  # [s] between repetitions of the first path
 
 _TYPES = {"odom": Odometry, "path": PathMessage}
 
@@ -106,17 +107,20 @@ class _Player:
         return count
 
     def _begin(self, messages: list[tuple[int, str, Any]]) -> None:
-        """Repeat the first odometry until it is answered, or for a while.
+        """Repeat the first path and odometry until they are answered, or for a while.
 
         Controllers take odometry as it comes: what is said before both sides have found each other
-        is lost. One that waits for its timer answers only when time goes on.
+        is lost. A path is not, but DDS may ask for it only seconds later. A controller that waits
+        for its timer answers only when time goes on.
         """
-        for _, key, message in messages[:1]:
-            self._publish(key, message)
+        _, first_key, first_message = messages[0]
         time, first = next((time, message) for time, key, message in messages if key == "odom")
         self._tell_time(time)
-        until = steady.monotonic() + _SETTLING
+        until, path_due = steady.monotonic() + _SETTLING, 0.0
         while steady.monotonic() < until and not self._answered:
+            if first_key == "path" and steady.monotonic() >= path_due:
+                self._publish(first_key, first_message)
+                path_due = steady.monotonic() + _PATH_PERIOD
             self._publish("odom", first)
             rclpy.spin_once(self._node, timeout_sec=0.05)
 
