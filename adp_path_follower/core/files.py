@@ -23,6 +23,20 @@ _Yaml.add_implicit_resolver(
 )
 
 
+def expanded(name: str) -> Path:
+    """Return the file of a name, in which ~ stands for the user's home and ~USER for another's.
+
+    Raises:
+        FileError: There is no such home.
+
+    """
+    try:
+        return Path(name).expanduser()
+    except RuntimeError:
+        home = name.partition("/")[0]
+        raise FileError(f"file {name} cannot be found: '{home}' is nobody's home") from None
+
+
 def read_text(file: Path) -> str:
     """Return the content of a text file.
 

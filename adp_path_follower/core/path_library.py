@@ -7,14 +7,13 @@ signed curvature in 1/m, or by a CSV or YAML file.
 from __future__ import annotations
 
 import math
-import os.path
 from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
 
 from adp_path_follower.core.errors import FileError, PathError
-from adp_path_follower.core.files import read_csv_columns, read_yaml
+from adp_path_follower.core.files import expanded, read_csv_columns, read_yaml
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path, distinct_points, joined
 from adp_path_follower.core.path_preparation import prepare
@@ -47,7 +46,7 @@ def named_path(name: str, settings: PathSettings | None = None) -> Path:
     if name.startswith("circle:"):
         return circle(_curvature(name))
     if is_path_file(name):
-        return path_from_file(FilePath(os.path.expanduser(name)), settings)
+        return path_from_file(expanded(name), settings)
     raise PathError(f"unknown path '{name}': use {PATH_HELP}")
 
 
@@ -129,7 +128,7 @@ def named_points(name: str, spacing: float) -> FloatArray:
     """
     if not is_path_file(name):
         return named_path(name).points(spacing)
-    file = FilePath(os.path.expanduser(name))
+    file = expanded(name)
     points, closed = read_points(file)
     try:
         distinct, _ = distinct_points(points)

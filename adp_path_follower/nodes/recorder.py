@@ -21,6 +21,7 @@ from std_msgs.msg import Header
 
 from adp_path_follower.bags.writer import BagExistsError, BagWriter, Limits, UnknownTypeError
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.files import expanded
 from adp_path_follower.nodes.parameters import declare_settings
 from adp_path_follower.nodes.provenance import provenance
 from adp_path_follower.nodes.recorder_settings import RUN_TOPICS, RecorderSettings
@@ -223,7 +224,7 @@ def _new_bag(settings: RecorderSettings) -> BagWriter:
         background=True,
     )
     if bag.output:
-        return make(Path(bag.output).expanduser())
+        return make(expanded(bag.output))
     name = datetime.now().strftime("adp_run_%Y_%m_%d-%H_%M_%S")
     for number in itertools.count(2):
         try:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode
 from rclpy.task import Future
 from std_msgs.msg import UInt8MultiArray
@@ -14,6 +15,7 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower.core.driver import Driver
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.files import expanded
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.weights_file import (
     SavedWeights,
@@ -33,7 +35,7 @@ class WeightsFiles:
     """
 
     def __init__(self, node: LifecycleNode, settings: Settings, driver: Callable[[], Driver]):
-        """Read the weights.
+        """Read the weights, and offer to save them.
 
         Args:
             node: The controller.
@@ -45,13 +47,19 @@ class WeightsFiles:
 
         """
         self._node, self._driver = node, driver
+        self._is_writing = False
         self.saved: SavedWeights | None = None
         self._content = b""
         name = settings.controller.weights_file
         if name:
-            file = Path(name).expanduser().absolute()
+            file = expanded(name).absolute()
             self.saved, self._content = read_weights(file, settings)
             node.get_logger().info(f"weights to start from: {file}")
+        # A group of its own: whatever is in the node's is not called while this one waits. It goes
+        # with the node, not with the others, as there may be an answer on its way.
+        node.create_service(
+            Trigger, "~/save_weights", self._save, callback_group=ReentrantCallbackGroup()
+        )
 
     @property
     def digest(self) -> str:
@@ -59,42 +67,56 @@ class WeightsFiles:
         return "" if self.saved is None else self.saved.digest
 
     def entities(self) -> list[tuple[Any, Any]]:
-        """Create the service, and the topic that makes a recording complete.
+        """Create the topic that makes a recording complete.
 
         Returns:
             Pairs of what destroys an entity, and the entity.
 
         """
-        node = self._node
-        service = node.create_service(Trigger, "~/save_weights", self._save)
-        made: list[tuple[Any, Any]] = [(node.destroy_service, service)]
-        if self._content:
-            publisher = node.create_publisher(UInt8MultiArray, "~/initial_weights", LATCHED)
-            publisher.publish(UInt8MultiArray(data=self._content))
-            made.append((node.destroy_publisher, publisher))
-        return made
+        if not self._content:
+            return []
+        publisher = self._node.create_publisher(UInt8MultiArray, "~/initial_weights", LATCHED)
+        publisher.publish(UInt8MultiArray(data=self._content))
+        return [(self._node.destroy_publisher, publisher)]
 
     async def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Save what was learned until now; a thread writes, so that no disk delays a command."""
-        driver = self._driver()
+        """Save what was learned until now, or answer why not: an exception would end the node."""
         try:
-            if driver.follower is None:
-                raise AdpError("nothing was learned yet: save the weights after some driving")
-            saved = driver.follower.saved_weights()
-            name = driver.settings.controller.save_weights_to
-            if not name:
-                raise AdpError("'save_weights_to' is empty: set it to the file to write")
-            file = Path(name).expanduser().absolute()
-            written: Future = Future(executor=self._node.executor)
+            response.message = await self._saved()
+            response.success = True
+        except AdpError as error:
+            response.message = str(error)
+        except Exception as error:
+            response.message = f"weights cannot be saved: {type(error).__name__}: {error}"
+        return response
+
+    async def _saved(self) -> str:
+        """Save the weights, and return what was done; a thread writes: no disk delays a command.
+
+        Raises:
+            AdpError: There is nothing to save, or it cannot be written.
+
+        """
+        if self._is_writing:
+            raise AdpError("weights are still being written: ask again when that is done")
+        driver = self._driver()
+        if driver.follower is None:
+            raise AdpError("nothing was learned yet: save the weights after some driving")
+        saved = driver.follower.saved_weights()
+        name = driver.settings.controller.save_weights_to
+        if not name:
+            raise AdpError("'save_weights_to' is empty: set it to the file to write")
+        file = expanded(name).absolute()
+        written: Future = Future(executor=self._node.executor)
+        self._is_writing = True
+        try:
             threading.Thread(target=_write, args=(file, saved, written), daemon=True).start()
             await written
-        except AdpError as error:
-            response.success, response.message = False, str(error)
-        else:
-            count = len(saved.learned.knots)
-            places = "" if count == 1 else f" at {count} places of the path"
-            response.success, response.message = True, f"weights{places} are in {file}"
-        return response
+        finally:
+            self._is_writing = False
+        count = len(saved.learned.knots)
+        places = "" if count == 1 else f" at {count} places of the path"
+        return f"weights{places} are in {file}"
 
 
 def _write(file: Path, saved: SavedWeights, written: Future) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.files import read_yaml
+from adp_path_follower.core.files import expanded, read_yaml
 
 
 class Section:
@@ -100,8 +100,13 @@ class Section:
         return self.beside(value)
 
     def beside(self, name: str) -> Path:
-        """Return a file by its name as seen from the folder of the content."""
-        return self._folder / Path(name).expanduser()
+        """Return a file by its name as seen from the folder of the content.
+
+        Raises:
+            FileError: Its name begins with nobody's home.
+
+        """
+        return self._folder / expanded(name)
 
 
 def read_sections(file: Path) -> Section:

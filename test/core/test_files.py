@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.errors import AdpError, FileError
-from adp_path_follower.core.files import parse_yaml, read_csv_columns, read_text, read_yaml
+from adp_path_follower.core.files import (
+    expanded,
+    parse_yaml,
+    read_csv_columns,
+    read_text,
+    read_yaml,
+)
 from adp_path_follower.core.path_library import path_from_file
 
 
@@ -148,3 +154,11 @@ def test_yaml_runs_no_code(folder):
     with pytest.raises(FileError, match="not YAML"):
         read_yaml(file)
     assert not trace.exists()
+
+
+def test_a_home_is_found_or_refused(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert expanded("~/a.csv") == tmp_path / "a.csv"
+    assert str(expanded("a~/~b")) == "a~/~b"
+    with pytest.raises(FileError, match="'~nobody_has_this_name' is nobody's home"):
+        expanded("~nobody_has_this_name/a.csv")

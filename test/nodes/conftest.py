@@ -105,6 +105,10 @@ class Peer:
         self.until(future.done, f"answer of {name}")
         return future.result()
 
+    def ask(self, name: str, request: Any) -> Any:
+        """Return the future of the answer of a service that has been called before."""
+        return self._clients[name].call_async(request)
+
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
         """Return the result of setting one parameter of another node."""
         from rcl_interfaces.srv import SetParameters

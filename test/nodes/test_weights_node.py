@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 
 import numpy as np
 import pytest
-from conftest import Drive, Peer
+from conftest import Drive, Peer, running_script
 from geometry_msgs.msg import TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
@@ -92,6 +95,82 @@ def test_saving_while_driving(peer, start, tmp_path):
     drive.until_moving()
 
 
+SAVE = "path_follower/save_weights"
+SLOW_DISK = """
+import sys
+from adp_path_follower.nodes import controller_process, weights
+
+write = weights.write_weights
+
+
+def late(file, content):
+    print("writing", flush=True)
+    open({gate!r}).read()
+    write(file, content)
+
+
+weights.write_weights = late
+sys.argv[1:] = ["--ros-args", "-p", "save_weights_to:={file}"]
+sys.exit(controller_process.main())
+"""
+
+
+class SlowDisk:
+    """A controller that drives, and has asked a disk to write that does not before `go_on`."""
+
+    def __init__(self, peer: Peer, process, log, gate) -> None:
+        peer.call(Trigger, SAVE)  # there is nothing to save yet
+        self.drive = Drive(peer, lambda executable: process)
+        self._gate = gate
+        self.saved = peer.ask(SAVE, Trigger.Request())
+        peer.until(lambda: "writing" in log.read_text(), "the slow disk")
+
+    def go_on(self) -> None:
+        """Let the disk write."""
+        self._gate.write_text("go on")
+        self.drive.peer.until(self.saved.done, "the answer")
+
+
+@pytest.fixture
+def slow_disk(peer, domain, tmp_path):
+    gate, log = tmp_path / "gate", tmp_path / "controller.log"
+    os.mkfifo(gate)
+    text = SLOW_DISK.format(gate=str(gate), file=tmp_path / "weights.npz")
+    with running_script(text, domain, log) as process:
+        yield SlowDisk(peer, process, log, gate)
+        process.terminate()
+        assert process.wait(30.0) == 0
+    assert "Traceback" not in log.read_text()
+
+
+def test_a_slow_disk_delays_neither_commands_nor_a_stop(slow_disk, peer, tmp_path):
+    assert "still being written" in peer.call(Trigger, SAVE).message
+    slow_disk.drive.until_moving()
+    assert peer.call(Trigger, "path_follower/stop").success
+    slow_disk.drive.until_stopped()
+    assert not slow_disk.saved.done()
+    slow_disk.go_on()
+    assert slow_disk.saved.result().success
+    read_weights(tmp_path / "weights.npz", build(Settings, {}))
+
+
+def test_a_node_that_is_cleaned_up_meanwhile_answers_all_the_same(slow_disk, peer):
+    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert peer.call(ChangeState, "path_follower/change_state", request).success
+    slow_disk.go_on()
+    assert slow_disk.saved.result().success
+    assert "nothing was learned yet" in peer.call(Trigger, SAVE).message
+
+
+def test_a_home_that_nobody_has_is_refused_in_one_sentence(peer, start):
+    drive = Drive(peer, start, save_weights_to="~nobody_has_this_name/weights.npz")
+    answer = peer.call(Trigger, SAVE)
+    assert not answer.success
+    assert "'~nobody_has_this_name' is nobody's home" in answer.message
+    drive.until_moving()
+
+
 def test_nothing_to_save_before_the_first_step(peer, start):
     start("controller")
     answer = peer.call(Trigger, "path_follower/save_weights")
@@ -129,6 +208,17 @@ def test_a_file_that_does_not_fit_is_refused_at_the_start(start, weights, damage
     sentences = [line for line in node.output().splitlines() if "[FATAL]" in line]
     assert len(sentences) == 1
     assert f"weights file {weights} {told}" in sentences[0]
+
+
+@pytest.mark.parametrize(
+    ("executable", "parameter"),
+    [("controller", "weights_file"), ("recorder", "output"), ("path_publisher", "path")],
+)
+def test_a_file_below_nobodys_home_is_refused_at_the_start(start, executable, parameter):
+    node = start(executable, **{parameter: "~nobody_has_this_name/file.csv"})
+    assert node.process.wait(30.0) == 2
+    (sentence,) = node.output().splitlines()
+    assert "'~nobody_has_this_name' is nobody's home" in sentence
 
 
 def test_another_path_starts_from_the_riccati_solution_with_a_warning(peer, start, weights):
