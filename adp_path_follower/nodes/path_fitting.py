@@ -1,22 +1,27 @@
 """From the bytes of a path to a route, in a process of its own.
 
 Python's threads share one interpreter: a path of a hundred thousand poses, fitted in a thread,
-makes control steps wait for tens of milliseconds (`bench/paths.py`). A process does not. It is a
+makes control steps wait for tens of milliseconds (`bench/paths.py`). A process does not, and what
+ends it or stops it (a want of memory, a defect, a debugger) costs a path and not the robot. It is a
 fork of the node before that has any thread or any of its own imports, and imports what paths are
-fitted with (scipy's splines) while the node starts beside it: the node does without.
+fitted with (scipy's splines) while the node starts beside it: the node does without. One that
+replaces it is a new Python instead, as a fork would have the locks of the node's threads, but not
+the threads.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-import multiprocessing
 import os
 import pickle
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Callable
+from multiprocessing.context import ForkContext, SpawnContext
+from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any
 
@@ -30,8 +35,8 @@ from adp_path_follower.core.settings import PathSettings
 from adp_path_follower.nodes.stop_request import ending_signals
 
 _NICE = 5  # control comes first, where there are fewer cores than processes
-
-REFUSALS = (AdpError, CdrError)
+_PATIENCE = 20.0  # [s] without an answer: hundreds of times what a short path takes, and then
+_PATIENCE_EACH = 5e-6  # [s] for each byte of it, fifty times what a long one takes
 
 # From the bytes of a nav_msgs/Path, the transform of its frame and settings to a route.
 Fit = Callable[[bytes, tuple[float, ...], PathSettings], Route]
@@ -61,28 +66,25 @@ def route_of_message(raw: bytes, transform: tuple[float, ...], settings: PathSet
 
 def reason(error: Exception) -> str:
     """Return why a path is refused, as a sentence."""
-    return f"path cannot be read: {error}" if isinstance(error, CdrError) else str(error)
+    if isinstance(error, AdpError):
+        return str(error)
+    if isinstance(error, CdrError):
+        return f"path cannot be read: {error}"
+    return f"path cannot be prepared: unexpected {type(error).__name__}: {error}"
 
 
 class FittingProcess:
-    """Answers what `route_of_message` answers, as long as it lives; without it, so does the caller.
+    """Answers what `route_of_message` answers; without a process, if none is to be had.
 
-    To be made before the process has threads, as these are not there in a fork, but their locks
-    are.
+    To be made before its maker has threads.
     """
 
     def __init__(self) -> None:
         """Start the process; where the machine has none to give, do without."""
-        ours, theirs = socket.socketpair()
-        self._connection: socket.socket | None = ours
         self._over = False
-        fork = multiprocessing.get_context("fork")
-        self._process = fork.Process(target=_serve, args=(theirs, ours), daemon=True)
-        try:
-            self._process.start()
-        except OSError as error:
-            self._do_without(f"cannot be started ({error})")
-        theirs.close()
+        self._asking = threading.Lock()  # one path at a time
+        self._starting = threading.Lock()  # so that none is started when all is over
+        self._start(ForkContext())
 
     @property
     def pid(self) -> int:
@@ -101,46 +103,103 @@ class FittingProcess:
         traceback: TracebackType | None,
     ) -> None:
         """End it, whatever it is at, and the thread that waits for its answer."""
-        self._over = True
-        if self._process.pid is not None:
-            self._process.kill()
-            self._process.join()
+        with self._starting:
+            self._over = True
+            self._end()
 
     def route(self, raw: bytes, transform: tuple[float, ...], settings: PathSettings) -> Route:
         """Return the route of a path; see `route_of_message`.
 
         Raises:
+            PathError: The path cannot be driven or read, or the process has ended at it, or does
+                not answer.
             SystemExit: The process was told to end meanwhile.
 
         """
-        found: Route | str | None = None
-        if self._connection is not None:
-            try:
-                _send(self._connection, (raw, transform, settings))
-                found = _receive(self._connection)
-            except (EOFError, OSError):
-                if self._over:
-                    sys.exit()  # ends this thread
-                self._do_without("has ended")
-        if found is None:
-            return route_of_message(raw, transform, settings)
+        with self._asking:
+            if self._connection is not None and not self._process.is_alive():
+                self._replace()
+                _warn("has ended without a path to prepare, and was started anew")
+            if self._connection is None:
+                return route_of_message(raw, transform, settings)
+            found = self._answer(self._connection, (raw, transform, settings), len(raw))
         if isinstance(found, str):
             raise PathError(found)
         return found
 
-    def _do_without(self, why: str) -> None:
-        from rclpy.logging import get_logger  # here, so that a fork needs no more than numpy
+    def _answer(self, connection: socket.socket, request: object, size: int) -> Route | str:
+        """Return the route of a path of so many bytes from the process, or why there is none."""
+        patience = _PATIENCE + _PATIENCE_EACH * size
+        connection.settimeout(patience)
+        try:
+            _send(connection, request)
+            found: Route | str = _receive(connection)
+        except TimeoutError:
+            self._replace()
+            return (
+                f"path was not prepared within {patience:.0f} s: publish it again, with fewer "
+                "poses if it is long"
+            )
+        except (EOFError, OSError):
+            code = self._replace()
+            return (
+                f"path cannot be prepared: the process at work on it has ended (exit code {code}); "
+                "publish it again, with fewer poses if memory is short"
+            )
+        return found
 
-        self._connection = None
-        get_logger("path_fitting").warning(
-            f"the process that prepares paths {why}: control steps may come late while the node "
-            "prepares a long path itself; restart the node when that suits"
+    def _replace(self) -> int | None:
+        """End the process, start another one, and return the exit code of the first.
+
+        Raises:
+            SystemExit: No other is wanted.
+
+        """
+        with self._starting:
+            if self._over:
+                sys.exit()  # ends this thread
+            code = self._end()
+            if self._connection is not None:
+                self._connection.close()
+            self._start(SpawnContext())
+            return code
+
+    def _start(self, context: ForkContext | SpawnContext) -> None:
+        ours, theirs = socket.socketpair()
+        self._connection: socket.socket | None = ours
+        inherited = ours if isinstance(context, ForkContext) else None
+        self._process: BaseProcess = context.Process(
+            target=_serve, args=(theirs, inherited), daemon=True
         )
+        try:
+            self._process.start()
+        except OSError as error:
+            self._connection = None
+            _warn(
+                f"cannot be started ({error}): control steps may come late while the node prepares "
+                "a long path itself; restart the node when that suits"
+            )
+        theirs.close()
+
+    def _end(self) -> int | None:
+        """End the process, whatever it is at, and return its exit code."""
+        if self._process.pid is None:
+            return None
+        self._process.kill()  # also if it is stopped; one that is dead keeps its exit code
+        self._process.join()
+        return self._process.exitcode
 
 
-def _serve(connection: socket.socket, others: socket.socket) -> None:
+def _warn(text: str) -> None:
+    from rclpy.logging import get_logger  # here, so that a fork needs no more than numpy
+
+    get_logger("path_fitting").warning(f"the process that prepares paths {text}")
+
+
+def _serve(connection: socket.socket, inherited: socket.socket | None) -> None:
     """Answer until the node is gone."""
-    others.close()  # else this process would never see that the node is gone
+    if inherited is not None:
+        inherited.close()  # else this process would never see that the node is gone
     for number in ending_signals():  # Ctrl-C is for the node, which ends this process
         signal.signal(number, signal.SIG_IGN)
     importlib.import_module("adp_path_follower.core.path_preparation")  # before the first path
@@ -151,7 +210,7 @@ def _serve(connection: socket.socket, others: socket.socket) -> None:
             answer: Route | str
             try:
                 answer = route_of_message(raw, transform, settings)
-            except REFUSALS as error:
+            except Exception as error:  # whatever it is, the next path is another one
                 answer = reason(error)
             _send(connection, answer)
 

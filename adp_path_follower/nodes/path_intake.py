@@ -17,9 +17,10 @@ from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings
 from adp_path_follower.nodes.conversions import wrong_frame
 from adp_path_follower.nodes.frames import FrameError, FrameTransform
-from adp_path_follower.nodes.path_fitting import REFUSALS, Fit, reason, route_of_message
+from adp_path_follower.nodes.path_fitting import Fit, reason, route_of_message
 
 _RETRY_PERIOD = 1.0  # [s], steady
+_CLOSING_TIME = 0.5  # [s], longer than most paths take
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ def answer(
                 raise AdpError(wrong_frame(frame, request.odom_frame))
             transform = frames.planar(request.odom_frame, frame)
         route = fit(request.raw, transform, request.settings)
-    except REFUSALS as error:
+    except Exception as error:  # whatever it is, the next path is another one
         may_come = isinstance(error, FrameError)
         return PathAnswer(request, frame, problem=reason(error), may_come=may_come)
     return PathAnswer(request, frame, route, transform)
@@ -158,11 +159,11 @@ class PathIntake:
             self.submit(pending)
 
     def close(self) -> None:
-        """End the thread, after what it is at."""
+        """End the thread after what it is at, which is waited for only briefly."""
         with self._changed:
             self._closed = True
             self._changed.notify()
-        self._thread.join()
+        self._thread.join(_CLOSING_TIME)
 
     def _work(self) -> None:
         done: PathRequest | None = None

@@ -1,4 +1,4 @@
-"""Paths are prepared in a process of its own, or without it by whoever asks."""
+"""Paths are prepared in a process of its own, which is replaced when it has ended or stalls."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import is_zero, running_script
+from conftest import Drive, is_zero, running_script
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.serialization import serialize_message
 
-from adp_path_follower.core.errors import PathError
+from adp_path_follower.bags.cdr import CdrError
+from adp_path_follower.core.errors import AdpError, PathError
 from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.nodes import path_fitting
 from adp_path_follower.nodes.conversions import poses_message
-from adp_path_follower.nodes.path_fitting import REFUSALS, FittingProcess, reason, route_of_message
+from adp_path_follower.nodes.path_fitting import FittingProcess, reason, route_of_message
 
 EIGHT = serialize_message(poses_message(lissajous().points(0.05), "odom", 0))
 SPOT = serialize_message(poses_message(lissajous().points(1e3), "odom", 0))[:60]
@@ -41,7 +45,7 @@ def test_the_route_is_the_one_that_is_made_here(transform):
     ids=["nothing", "no header", "no pose", "cut at its end", "cut"],
 )
 def test_what_is_refused_is_refused_with_the_same_words(raw):
-    with pytest.raises(REFUSALS) as here:
+    with pytest.raises((AdpError, CdrError)) as here:
         route_of_message(raw, (), PathSettings())
     with FittingProcess() as fitting:
         with pytest.raises(PathError) as there:
@@ -50,11 +54,52 @@ def test_what_is_refused_is_refused_with_the_same_words(raw):
         assert fitting.route(EIGHT, (), PathSettings()).closed  # and it goes on
 
 
-def test_without_its_process_a_path_is_prepared_all_the_same():
+def test_a_process_that_has_ended_meanwhile_is_replaced():
     with FittingProcess() as fitting:
-        os.kill(fitting.pid, signal.SIGKILL)
         for _ in range(2):
+            ended = fitting.pid
+            os.kill(ended, signal.SIGKILL)
+            _until_dead(ended)
             assert fitting.route(EIGHT, (), PathSettings()).closed
+            assert fitting.pid != ended
+
+
+def kill_itself(*request):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def fail(*request):
+    raise LookupError("a defect")
+
+
+def stop_itself(*request):
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+
+@pytest.mark.parametrize(
+    ("defect", "told"),
+    [
+        (kill_itself, r"the process at work on it has ended \(exit code -9\); publish it again"),
+        (fail, "path cannot be prepared: unexpected LookupError: a defect"),
+        (stop_itself, "path was not prepared within 2 s: publish it again"),
+    ],
+)
+def test_a_path_that_the_process_is_lost_at_is_refused(monkeypatch, defect, told):
+    with monkeypatch.context() as patch:
+        patch.setattr(path_fitting, "route_of_message", defect)
+        fitting = FittingProcess()  # a fork, which has the defect; what replaces it does not
+    with fitting:
+        first = fitting.pid
+        with monkeypatch.context() as patch:
+            if defect is stop_itself:
+                patch.setattr(path_fitting, "_PATIENCE", 1.0)
+            with pytest.raises(PathError, match=told):
+                fitting.route(EIGHT, (), PathSettings())
+        if defect is fail:
+            assert fitting.pid == first  # and goes on
+            return
+        assert fitting.route(EIGHT, (), PathSettings()).closed
+        assert fitting.pid != first
 
 
 def test_a_machine_with_no_process_left_prepares_paths_all_the_same(monkeypatch):
@@ -131,30 +176,100 @@ def children(pid: int) -> list[int]:
     return [int(number) for number in text.split()]
 
 
+def until_followed(drive, number: int) -> None:
+    """Wait until the controller follows its so many-th path."""
+    drive.peer.until(lambda: drive.controller.output().count("new path") == number, "the path")
+    drive.until_moving()
+
+
 @pytest.mark.nodes
-def test_the_controller_goes_on_without_the_process(drive):
+def test_the_controller_goes_on_when_the_process_has_ended(drive):
     (fitting,) = children(drive.controller.process.pid)
     os.kill(fitting, signal.SIGINT)  # Ctrl-C reaches it, too, and is for the node
     drive.peer.send_path("circle:0.5")
-    drive.peer.until(lambda: drive.controller.output().count("new path") == 2, "the circle")
+    until_followed(drive, 2)
     assert children(drive.controller.process.pid) == [fitting]
     os.kill(fitting, signal.SIGKILL)
+    _until_dead(fitting)
     drive.peer.send_path("line")
-    drive.peer.until(lambda: drive.controller.output().count("new path") == 3, "the line")
+    until_followed(drive, 3)
     assert "the process that prepares paths has ended" in drive.controller.output()
-    drive.until_moving()
     assert drive.controller.stop() == 0
     drive.peer.until(lambda: is_zero(drive.commands[-1]), "the stop")
+
+
+@pytest.mark.nodes
+def test_a_path_that_the_process_is_killed_at_is_refused_and_the_next_is_not(drive):
+    (fitting,) = children(drive.controller.process.pid)
+    os.kill(fitting, signal.SIGSTOP)  # so that it is at the path when it is killed
+    drive.peer.send_path("circle:0.5")
+    drive.peer.spin(0.5)
+    os.kill(fitting, signal.SIGKILL)
+    drive.until_diagnosed("path refused: path cannot be prepared: the process at work on it has")
+    drive.until_moving()  # along the path before
+    drive.peer.send_path("circle:0.4")
+    until_followed(drive, 2)
+
+
+@pytest.mark.nodes
+def test_a_process_that_is_stopped_hinders_neither_a_cleanup_nor_the_end(drive):
+    (fitting,) = children(drive.controller.process.pid)
+    os.kill(fitting, signal.SIGSTOP)
+    drive.peer.send_path("circle:0.5")
+    drive.peer.spin(0.5)
+    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert drive.peer.call(ChangeState, "path_follower/change_state", request).success
+    assert drive.controller.stop(signal.SIGTERM) == 0
+    _until_dead(fitting)
+
+
+LITTLE_PATIENCE = """
+import sys
+from adp_path_follower.nodes import controller_process, path_fitting
+
+answer = path_fitting.FittingProcess._answer
+
+
+def answer_and_hurry(self, *request):
+    found = answer(self, *request)
+    path_fitting._PATIENCE = 1.0
+    return found
+
+
+path_fitting.FittingProcess._answer = answer_and_hurry
+sys.exit(controller_process.main())
+"""
+
+
+@pytest.mark.nodes
+def test_a_path_that_a_stopped_process_does_not_prepare_is_refused(peer, domain, tmp_path):
+    log = tmp_path / "controller.log"
+    with running_script(LITTLE_PATIENCE, domain, log) as process:
+        drive = Drive(peer, lambda executable: process)
+        (fitting,) = children(process.pid)
+        os.kill(fitting, signal.SIGSTOP)
+        peer.send_path("circle:0.5")
+        drive.until_diagnosed("path refused: path was not prepared within 1 s")
+        _until_dead(fitting)
+        drive.until_moving()
+        process.terminate()
+        assert process.wait(30.0) == 0
+    assert "Traceback" not in log.read_text()
 
 
 @pytest.mark.nodes
 def test_the_process_ends_with_its_controller_even_if_that_is_killed(drive):
     (fitting,) = children(drive.controller.process.pid)
     os.kill(drive.controller.process.pid, signal.SIGKILL)
+    _until_dead(fitting)
+
+
+def _until_dead(pid: int) -> None:
     end = time.monotonic() + 30.0
-    while Path(f"/proc/{fitting}/cmdline").exists() and _runs(fitting):
+    while _runs(pid):
         assert time.monotonic() < end, "it still runs"
-        time.sleep(0.05)
+        time.sleep(0.01)
 
 
 def _runs(pid: int) -> bool:

@@ -26,6 +26,7 @@ from adp_path_follower.bags.replay import replay
 from adp_path_follower.core.settings import PathSettings
 from adp_path_follower.nodes.conversions import quaternion_of
 from adp_path_follower.nodes.frames import FrameError, frame_transform
+from adp_path_follower.nodes.path_fitting import route_of_message
 from adp_path_follower.nodes.path_intake import PathIntake, PathRequest, answer
 
 LINE = np.stack([np.linspace(0.0, 4.0, 41), np.zeros(41), np.zeros(41)], axis=1)
@@ -166,6 +167,48 @@ def test_the_same_path_again_is_answered_again():
             intake.cancel()
     finally:
         intake.close()
+
+
+def test_a_path_that_cannot_be_fitted_for_whatever_reason_is_refused_and_the_next_is_not():
+    ready = threading.Event()
+
+    def defective(raw, transform, settings):
+        if settings.path_tolerance == 0.0:
+            raise LookupError("a defect")
+        return route_of_message(raw, transform, settings)
+
+    intake = PathIntake(None, ready.set, defective)
+    try:
+        for tolerance in (0.0, 0.05):
+            ready.clear()
+            intake.submit(request_of(LINE, path_tolerance=tolerance))
+            assert ready.wait(30.0)
+            found = intake.take(PathSettings(path_tolerance=tolerance), "odom")
+            assert (found.route is None) == (tolerance == 0.0)
+            assert ("LookupError: a defect" in found.problem) == (tolerance == 0.0)
+    finally:
+        intake.close()
+
+
+def test_closing_does_not_wait_for_a_path_that_takes_for_ever():
+    fitting, end, answered = threading.Event(), threading.Event(), threading.Event()
+
+    def endless(raw, transform, settings):
+        fitting.set()
+        end.wait()
+        return route_of_message(raw, transform, settings)
+
+    intake = PathIntake(None, answered.set, endless)
+    intake.submit(request_of(LINE))
+    assert fitting.wait(30.0)
+    closing = threading.Thread(target=intake.close)
+    closing.start()
+    closing.join(30.0)
+    try:
+        assert not closing.is_alive()
+    finally:
+        end.set()
+    assert not answered.wait(0.5)
 
 
 def test_a_transform_that_comes_late_is_asked_for_again():
