@@ -35,6 +35,7 @@ Observer = Callable[[slice, float, FloatArray, ControlOutput], None]
 
 _LONGEST_STEP = 0.01  # [s] of the cost's quadrature
 _WARM_MARGIN = 6.0  # [m] that a warm start learns beyond what v_des covers
+HIGHEST_RATE = 1e4  # [Hz]
 _LOST = 1e4  # |e| beyond which a run has failed and is frozen
 _BLOCK = 512  # runs at once: enough to hide Python's overhead
 _MOST_BYTES = 2**27  # of a block's weights, where each run has its own along the path
@@ -176,10 +177,10 @@ def _check(
         raise AdpError(f"start_arc_length is {start_arc_length} m, but must be finite")
     if learning not in LEARNING_MODES:
         raise AdpError(f"learning is '{learning}', but must be one of {', '.join(LEARNING_MODES)}")
-    if not (0.0 < duration < math.inf and 0.0 < rate <= 1e4):
+    if not (0.0 < duration < math.inf and 0.0 < rate <= HIGHEST_RATE):
         raise AdpError(
             f"duration is {duration} s and rate {rate} Hz, but they must be positive (rate at "
-            "most 10000)"
+            f"most {HIGHEST_RATE:g})"
         )
     if at_once is not None and at_once < 1:
         raise AdpError(f"at_once is {at_once} runs, but must be at least 1")

@@ -25,6 +25,7 @@ from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.schema import flatten
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.sweeping.interrupts import noted_interrupts
+from adp_path_follower.sweeping.parts_folder import PartsFolder
 from adp_path_follower.sweeping.plan import Plan, work_off
 from adp_path_follower.sweeping.sweep_file import read_sweep
 
@@ -247,6 +248,10 @@ BAD = {
         ["sweep", "small.yaml", "--out", "new", "--scheduler", "over there"],
         "scheduler 'over there' cannot be reached",
     ),
+    "no way to connect": (
+        ["sweep", "small.yaml", "--out", "new", "--scheduler", "ftp://127.0.0.1:1"],
+        "scheduler 'ftp://127.0.0.1:1' cannot be reached ('ftp' is none of tcp, ws)",
+    ),
     "read-only output": (
         ["sweep", "small.yaml", "--out", "/proc/sweep"],
         "output /proc/sweep cannot be written",
@@ -272,6 +277,22 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, case):
     arguments, words = BAD[case]
     refused(adp(*arguments, cwd=folder), words)
     assert not list(folder.glob("new/runs/*"))
+
+
+@pytest.mark.parametrize("name", ["best.yaml", "report.html"])
+def test_results_that_cannot_be_written_are_named_at_the_end(tmp_path, name):
+    file, out = tmp_path / "small.yaml", tmp_path / "out"
+    file.write_text(SMALL)
+    with PartsFolder(out, Plan(read_sweep(file))):
+        (out / name / "full").mkdir(parents=True)
+    done = adp("sweep", file, "--out", out, "--workers", "1")
+    refused(done, f"output {out / name} cannot be written: Is a directory")
+    assert "target_gain" in done.stdout  # what was found is said all the same
+    (out / name / "full").rmdir()
+    (out / name).rmdir()
+    again = adp("sweep", file, "--out", out)
+    assert again.returncode == 0, again.stderr
+    assert (out / name).is_file()
 
 
 def test_two_commands_do_not_write_into_one_folder(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import subprocess
@@ -107,6 +108,26 @@ def test_the_file_that_is_written_gives_the_settings_again(tmp_path):
     for point, trial in itertools.product(front, tried(study)):
         assert not all(mine < his for mine, his in zip(trial.values, point, strict=True))
     assert len(list((tmp_path / "front").glob("*.yaml"))) == (len(front) if len(front) > 1 else 0)
+
+
+def test_no_file_of_a_larger_front_stays(tmp_path):
+    _, found = tuned(
+        tmp_path, "settings: {target_gain: own}\nobjectives: [cost, effort]\ntrials: 12"
+    )
+    mine = tmp_path / "front" / "mine.yaml"
+    for count in (3, 2, 1):
+        front = (found.front * 3)[:count]
+        write_findings(dataclasses.replace(found, front=front), "mine", tmp_path)
+        mine.touch()
+        names = {file.name for file in mine.parent.iterdir()} - {mine.name}
+        assert names == {f"{number:03d}.yaml" for number in range(1, count + 1) if count > 1}
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
+    _, found = tuned(tmp_path, "settings: {target_gain: own}\ntrials: 3")
+    (tmp_path / "best.yaml").mkdir()
+    with pytest.raises(AdpError, match=r"best.yaml cannot be written: Is a directory"):
+        write_findings(found, "mine", tmp_path)
 
 
 def test_what_the_validation_refuses_is_never_run(tmp_path):

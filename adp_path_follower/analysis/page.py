@@ -8,6 +8,7 @@ from typing import Any
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.files import write_output
 
 try:
     import jinja2
@@ -30,6 +31,9 @@ def write_page(file: Path, name: str, data: dict[str, Any], **content: Any) -> N
         data: What the script gets, figures above all.
         content: What the template gets beside it.
 
+    Raises:
+        FileError: It cannot be written.
+
     """
     folder = Path(__file__).parent / "templates"
     environment = jinja2.Environment(
@@ -51,4 +55,4 @@ def write_page(file: Path, name: str, data: dict[str, Any], **content: Any) -> N
         plotly=Markup(get_plotlyjs()),  # noqa: S704  # the library itself
         data=coded,
     )
-    file.write_text(page, encoding="utf-8")
+    write_output(file, page)

@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import click
 import numpy as np
 
-from adp_path_follower.core.errors import AdpError, FileError
-from adp_path_follower.core.files import read_csv_columns
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.files import output_to, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import PATH_HELP
@@ -229,7 +229,7 @@ def output_directory(directory: Path) -> Iterator[Path]:
     was_there = os.path.lexists(directory)  # which no name is too long for
     new_directory(directory)
     try:
-        with writing(directory):
+        with output_to(directory):
             yield directory
     except BaseException:
         with contextlib.suppress(OSError):
@@ -240,29 +240,16 @@ def output_directory(directory: Path) -> Iterator[Path]:
         raise
 
 
-@contextlib.contextmanager
-def writing(output: Path) -> Iterator[None]:
-    """Say in one sentence why what is written in the block could not be.
-
-    The operating system names no file where it is the disk that is full.
+def write_json(file: Path, content: object) -> None:
+    """Write JSON with null for numbers that are not finite, which JSON does not know.
 
     Raises:
-        FileError: The block raised an OSError.
+        FileError: It cannot be written.
 
     """
-    try:
-        yield
-    except (AdpError, BrokenPipeError):
-        raise
-    except OSError as error:
-        where = error.filename or output
-        raise FileError(f"output {where} cannot be written: {error.strerror}") from None
-
-
-def write_json(file: Path, content: object) -> None:
-    """Write JSON with null for numbers that are not finite, which JSON does not know."""
     text = json.dumps(_finite(content), indent=2, allow_nan=False)
-    file.write_text(text + "\n", encoding="utf-8")
+    with output_to(file):  # in place: it may be no file but /dev/stdout
+        file.write_text(text + "\n", encoding="utf-8")
 
 
 def _finite(content: Any) -> Any:

@@ -26,9 +26,9 @@ from adp_path_follower.cli.options import (
     progress_bar,
     settings_options,
     topic_options,
-    writing,
 )
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings, parse_assignment
 from adp_path_follower.core.settings import Settings
@@ -183,12 +183,12 @@ def _write_comparison(found: Replay, csv_file: Path | None, figure_file: Path | 
     if csv_file is not None:
         table = np.column_stack([_seconds(found), found.recorded, found.replayed])
         header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
-        with writing(csv_file):
+        with output_to(csv_file):
             np.savetxt(csv_file, table, delimiter=",", header=header, comments="", fmt="%.17g")
     if figure_file is not None:
         from adp_path_follower.analysis.figures import draw_replay
 
-        with writing(figure_file):
+        with output_to(figure_file):
             draw_replay(found, figure_file)
 
 

@@ -101,8 +101,8 @@ def _run(
             click.echo("\nadp: what is done stays: the same command goes on from it", err=True)
             raise
     spent = time.monotonic() - begun
-    write_results(found, title, directory)
     click.echo(summary_text(found))
+    write_results(found, title, directory)
     click.echo(
         f"\n{fresh:,} runs in {in_words(spent)}, {fresh / spent:.1f} a second. In {directory}: "
         f"report.html, runs/ (Parquet){', best.yaml' if found.best is not None else ''}"

@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
-from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
+
+
+class _TwiceError(yaml.constructor.ConstructorError):
+    """Report a name that a mapping has twice: which of the two values is meant?"""
 
 
 class _Yaml(yaml.SafeLoader):
     """Safe YAML that reads 1e-3 as a number, as ROS does and YAML 1.1 does not."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Return a mapping whose names are all different."""
+        if isinstance(node, yaml.MappingNode):
+            names: set[tuple[str, str]] = set()
+            for key, _ in node.value:
+                name = (key.tag, key.value) if isinstance(key, yaml.ScalarNode) else None
+                if name in names:
+                    problem = f"'{key.value}' is there twice"
+                    raise _TwiceError(problem=problem, problem_mark=key.start_mark)
+                if name is not None:
+                    names.add(name)
+        return super().construct_mapping(node, deep)
 
 
 _Yaml.add_implicit_resolver(
@@ -82,6 +102,36 @@ def write_whole(file: Path, content: bytes, unfinished: Path) -> None:
         unfinished.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def output_to(output: Path) -> Iterator[None]:
+    """Say in one sentence why a file, or one in a folder, cannot be written.
+
+    The operating system names no file where it is the disk that is full.
+
+    Raises:
+        FileError: The block raised an OSError.
+
+    """
+    try:
+        yield
+    except (AdpError, BrokenPipeError):
+        raise
+    except OSError as error:
+        where = error.filename or output
+        raise FileError(f"output {where} cannot be written: {error.strerror}") from None
+
+
+def write_output(file: Path, text: str) -> None:
+    """Write a text file as a whole or not at all.
+
+    Raises:
+        FileError: It cannot be written.
+
+    """
+    with output_to(file):
+        write_whole(file, text.encode(), file.with_name(f".{file.name}.unfinished"))
+
+
 def parse_yaml(text: str) -> object:
     """Return the value of a YAML text.
 
@@ -136,7 +186,7 @@ def read_yaml(file: Path) -> object:
     """Return the content of a YAML file.
 
     Raises:
-        FileError: The file is missing, empty or not YAML.
+        FileError: The file is missing, empty or not YAML, or has a name twice.
 
     """
     try:
@@ -144,7 +194,8 @@ def read_yaml(file: Path) -> object:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f", line {mark.line + 1}" if mark else ""
-        raise FileError(f"file {file}{place}: not YAML") from None
+        problem = error.problem if isinstance(error, _TwiceError) else "not YAML"
+        raise FileError(f"file {file}{place}: {problem}") from None
     if content is None:
         raise FileError(f"file {file} is empty")
     return content

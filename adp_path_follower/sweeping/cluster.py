@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from distributed import Client, LocalCluster, as_completed
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.scheduler import KilledWorker
+from distributed.security import Security
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
@@ -143,8 +144,7 @@ def _local(count: int | None) -> Iterator[Client]:
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Client]:
     try:
-        # Of an address without a port Dask's client would say so, and never end.
-        parse_host_port(parse_address(address)[1])
+        _check_address(address)
         client = Client(address, timeout=_CONNECTING, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -162,6 +162,21 @@ def _connected(address: str) -> Iterator[Client]:
             ) from None
         _check_versions(client, address)
         yield client
+
+
+def _check_address(address: str) -> None:
+    """Refuse what Dask's client would refuse, too, but not without a traceback, or without end.
+
+    Raises:
+        ValueError: There is no port, or no such way to connect.
+
+    """
+    scheme, place = parse_address(address)
+    parse_host_port(place)
+    secured = Security().get_connection_args("client").get("ssl_context") is not None
+    known = ("tcp", "ws", "tls", "wss") if secured else ("tcp", "ws")
+    if scheme not in known:
+        raise ValueError(f"'{scheme}' is none of {', '.join(known)}")
 
 
 def _check_versions(client: Client, address: str) -> None:

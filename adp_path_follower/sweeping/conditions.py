@@ -19,7 +19,7 @@ from adp_path_follower.core.path_library import is_path_file, named_path, path_t
 from adp_path_follower.core.schema import build, flatten
 from adp_path_follower.core.settings import PathSettings, Settings
 from adp_path_follower.simulated_robot import without_nodes
-from adp_path_follower.simulation import LEARNING_MODES, PAPER_START
+from adp_path_follower.simulation import HIGHEST_RATE, LEARNING_MODES, PAPER_START
 from adp_path_follower.sweeping.yaml_file import Section
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
@@ -36,6 +36,7 @@ _STARTS_FORM = (
 _MOST_STARTS = 100_000
 _MOST_SEED = 2**31 - 1
 _MOST_SEEDS = 100_000
+_LONGEST = 100_000.0  # [s], more than a day
 _NOISY = ("position_noise", "heading_noise", "position_drift", "heading_drift", "odometry_drop")
 
 
@@ -147,8 +148,8 @@ def read_conditions(file: Section) -> Conditions:
         paths=tuple(_path(file, name) for name in file.words("paths", ["lissajous"])),
         robots=robots,
         noise_seeds=_noise_seeds(file, robots, len(starts)),
-        duration=file.number("duration", 30.0, low=0.1),
-        rate=file.number("rate", 100.0, low=1.0),
+        duration=file.number("duration", 30.0, low=0.1, high=_LONGEST),
+        rate=file.number("rate", 100.0, low=1.0, high=HIGHEST_RATE),
         learning=learning,
         start_arc_length=file.number("start_arc_length", 0.0, low=-math.inf),
     )
@@ -181,7 +182,8 @@ def _starts(file: Section) -> tuple[FloatArray, bool]:
         if "file" in section:
             section.only(("file",))
             named = section.file_entry("file")
-            assert named is not None  # it is there
+            if named is None:
+                raise section.problem("'file' is empty: name a CSV file with columns s,y,theta")
             return _checked_starts(file, read_csv_columns(named, ("s", "y", "theta"))), False
         section.only(("random", "box", "seed"))
         return _random_starts(section), False

@@ -13,6 +13,7 @@ from optuna.trial import FrozenTrial
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.files import output_to, write_output
 from adp_path_follower.core.parameter_file import load_settings, parameter_file_text
 from adp_path_follower.core.schema import Value, flatten
 from adp_path_follower.core.settings import Settings
@@ -134,17 +135,26 @@ def findings_text(found: Findings) -> str:
 def write_findings(found: Findings, title: str, directory: Path) -> list[Path]:
     """Write the best settings as a parameter file, and those of the front; return the files.
 
+    Those of a front that was larger before are removed.
+
     Raises:
-        AdpError: A file that was written does not give the settings again.
+        AdpError: A file cannot be written, or does not give the settings again.
 
     """
     if found.best is None:
         return []
     files = [_write(found, found.best, title, directory / "best.yaml")]
-    if len(found.front) > 1:
-        (directory / "front").mkdir(exist_ok=True)
-        for number, trial in enumerate(found.front, start=1):
-            _write(found, trial, title, directory / "front" / f"{number:03d}.yaml")
+    folder = directory / "front"
+    front = found.front if len(found.front) > 1 else ()
+    if front:
+        with output_to(folder):
+            folder.mkdir(exist_ok=True)
+    for number, trial in enumerate(front, start=1):
+        _write(found, trial, title, folder / f"{number:03d}.yaml")
+    for file in folder.glob("*.yaml"):
+        if file.stem.isdigit() and int(file.stem) > len(front):
+            with output_to(file):
+                file.unlink()
     return files
 
 
@@ -179,10 +189,10 @@ def _write(found: Findings, trial: FrozenTrial, title: str, file: Path) -> Path:
     )
     values = values_of(found.tuning, trial.params)
     changed = ", ".join(f"{name}: {shown(value)}" for name, value in values.items())
-    file.write_text(
+    write_output(
+        file,
         f"# Found by adp tune {__version__} for {title}, trial {trial.number}: {numbers}.\n"
         f"# Tuned: {changed}.\n" + parameter_file_text(settings, "path_follower"),
-        encoding="utf-8",
     )
     if load_settings(Settings, "path_follower", file) != settings:
         raise AdpError(f"file {file} does not give the settings again that were written to it")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from adp_path_follower import __version__
+from adp_path_follower.core.files import output_to, write_output
 from adp_path_follower.core.parameter_file import parameter_file_text
 from adp_path_follower.sweeping.cluster import workers
 from adp_path_follower.sweeping.estimate import batch_time
@@ -92,19 +93,25 @@ def run_sweep(
 
 
 def write_results(found: Overview, title: str, directory: Path) -> None:
-    """Write the page, and the best settings as a parameter file."""
+    """Write the page, and the best settings as a parameter file.
+
+    Raises:
+        FileError: One of them cannot be written.
+
+    """
     write_sweep_page(found, title, directory / "report.html")
     best = directory / "best.yaml"
     if found.best is None:
-        best.unlink(missing_ok=True)
+        with output_to(best):
+            best.unlink(missing_ok=True)
         return
     scores = ", ".join(
         f"{name} {found.scores[name][found.best]:.5g}" for name in found.sweep.objectives
     )
     values = ", ".join(f"{name}: {shown(item)}" for name, item in found.values(found.best).items())
-    best.write_text(
+    write_output(
+        best,
         f"# The best settings of {title} ({scores}), found by adp sweep {__version__}.\n"
         f"# Of what was varied: {values or 'nothing'}.\n"
         + parameter_file_text(found.sweep.settings(found.best), "path_follower"),
-        encoding="utf-8",
     )

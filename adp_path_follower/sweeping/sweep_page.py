@@ -14,7 +14,12 @@ _ROWS = 25
 
 
 def write_sweep_page(found: Overview, title: str, file: Path) -> None:
-    """Write the page about a sweep."""
+    """Write the page about a sweep.
+
+    Raises:
+        FileError: It cannot be written.
+
+    """
     sweep = found.sweep
     figures = sweep_figures(found)
     names = [item.name for item in sweep.variations]

@@ -56,13 +56,23 @@ class Section:
             raise self.problem(f"'{name}' is {found!r}, but must be NAME: VALUE entries")
         return Section(f"{self._place}, {name}", self._folder, found)
 
-    def number(self, name: str, default: float, *, low: float = 0.0) -> float:
-        """Return an entry that is a finite number, above a lowest value or at it if that is 0."""
+    def number(
+        self, name: str, default: float, *, low: float = 0.0, high: float = math.inf
+    ) -> float:
+        """Return an entry that is a finite number within bounds."""
         value = self._content.get(name, default)
         plain = not isinstance(value, bool)
-        if plain and isinstance(value, int | float) and math.isfinite(value) and value >= low:
+        if (
+            plain
+            and isinstance(value, int | float)
+            and math.isfinite(value)
+            and low <= value <= high
+        ):
             return float(value)
-        raise self.problem(f"'{name}' is {value!r}, but must be a number, at least {low:g}")
+        bounds = [f"at least {low:g}"] if math.isfinite(low) else []
+        bounds += [f"at most {high:g}"] if math.isfinite(high) else []
+        wanted = ", ".join(["must be a finite number", *bounds])
+        raise self.problem(f"'{name}' is {value!r}, but {wanted}")
 
     def whole(self, name: str, default: int, *, low: int, high: int) -> int:
         """Return an entry that is an integer."""
