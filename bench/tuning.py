@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import matplotlib as mpl
 import numpy as np
@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.style import COLORS, STYLE
-from adp_path_follower.core.path_library import named_path
+from adp_path_follower.core.path import Path
+from adp_path_follower.core.path_library import named_path, path_through
 from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings import PathSettings, Settings
 from adp_path_follower.simulation import simulate
 from adp_path_follower.trajectories import Trajectories
 from sim_unicycle.settings import PlantSettings
@@ -23,7 +24,7 @@ _SLOW_ROBOT: dict[str, object] = {"max_linear_vel": 0.6, "max_angular_vel": 1.5}
 
 
 def run(
-    path: str,
+    path: str | Path,
     start: tuple[float, float, float],
     duration: float,
     plant: PlantSettings | None = None,
@@ -32,7 +33,7 @@ def run(
     """Return one run, learned before the start."""
     result = simulate(
         build(Settings, values),
-        named_path(path),
+        named_path(path) if isinstance(path, str) else path,
         start,
         duration=duration,
         learning="warm",
@@ -142,6 +143,71 @@ def lateral_acceleration() -> Figure:
     return figure
 
 
+def accelerations() -> Figure:
+    """Show what limits of acceleration make of the commands."""
+    figure, speed, steering = _pair("from standstill, beside the path", "steering")
+    for color, most in zip(COLORS, (np.inf, 0.5, 0.2), strict=False):
+        limits: dict[str, object] = {}
+        if np.isfinite(most):
+            limits = {
+                "max_linear_accel": most,
+                "max_linear_decel": most,
+                "max_angular_accel": 2.0 * most,
+            }
+        found = run("line", (0.0, 0.3, 0.0), 8.0, **limits)
+        label = f"{most:g} m/s², {2.0 * most:g} rad/s²" if limits else "∞ (default)"
+        speed.plot(found.time, found.command[0, :, 0], color=color)
+        steering.plot(found.time, found.command[0, :, 1], color=color, label=label)
+    speed.set(xlabel="time [s]", ylabel="v [m/s]")
+    steering.set(xlabel="time [s]", ylabel="ω [rad/s]")
+    steering.legend(title="linear, angular accelerations")
+    return figure
+
+
+def path_tolerance() -> Figure:
+    """Show how far a corner is cut, and how slow it is taken."""
+    figure, track, speed = _pair("a corner", "speed through it")
+    side, rest = np.linspace(0.0, 2.0, 21), np.full(21, 2.0)
+    poses = np.vstack([np.stack([side, 0.0 * side], 1), np.stack([rest, side], 1)])
+    track.plot(*poses.T, color="0.6", linewidth=1.0)
+    for color, tolerance in zip(COLORS, (0.02, 0.05, 0.2), strict=False):
+        path = path_through(poses, False, PathSettings(path_tolerance=tolerance))
+        found = run(
+            path,
+            (0.0, 0.0, 0.0),
+            12.0,
+            max_angular_vel=1.5,
+            max_linear_accel=0.5,
+            max_linear_decel=0.5,
+        )
+        x, y, _ = found.pose[0].T
+        track.plot(x, y, color=color, label=f"{100.0 * tolerance:g} cm")
+        # From the corner on, which is in the middle of every one of these paths.
+        place = found.arc_length[0] - 0.5 * path.length
+        near = np.abs(place) < 1.0
+        speed.plot(place[near], found.command[0, near, 0], color=color)
+    track.set(xlabel="x [m]", ylabel="y [m]", xlim=(1.3, 2.1), ylim=(-0.1, 0.7), aspect="equal")
+    track.legend(title="path_tolerance", loc="upper left")
+    speed.set(xlabel="place from the corner [m]", ylabel="v [m/s]", ylim=(0.0, 0.6))
+    return figure
+
+
+def learning() -> Figure:
+    """Show how the Riccati policy drives where learning goes wrong: costs a thousandfold."""
+    figure, track, steering = _pair("way back to the path", "what it takes")
+    costs = {"state_cost": [1e3, 1e3, 1e3], "input_cost": [1e3, 1e3]}
+    labels = {1e6: "10⁶: learned", 1e3: "1000: WARN, Riccati"}
+    for color, (bound, label) in zip(COLORS, labels.items(), strict=False):
+        found = run("line", (-0.5, 0.6, -1.0), 10.0, actor_weight_bound=bound, **costs)
+        x, y, _ = found.pose[0].T
+        track.plot(x, y, color=color, label=label)
+        steering.plot(found.time, found.command[0, :, 1], color=color)
+    track.set(xlabel="x [m]", ylabel="y [m]")
+    track.legend(title="actor_weight_bound")
+    steering.set(xlabel="time [s]", ylabel="ω [rad/s]")
+    return figure
+
+
 PICTURES: dict[str, Callable[[], Figure]] = {
     "lateral_cost": lateral_cost,
     "steering_cost": steering_cost,
@@ -149,12 +215,15 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "approach_angle": approach_angle,
     "actuation_delay": actuation_delay,
     "lateral_acceleration": lateral_acceleration,
+    "accelerations": accelerations,
+    "path_tolerance": path_tolerance,
+    "learning": learning,
 }
 
 
 def main() -> None:
     """Draw every picture."""
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images")
+    folder = FilePath(sys.argv[1] if len(sys.argv) > 1 else "docs/images")
     folder.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
         for name, draw in PICTURES.items():
