@@ -82,11 +82,13 @@ def prepare(
     said = _SAID[settings.path_closed] if closed is None else closed
     if settings.path_tolerance == 0.0 and not settings.allow_reversing:
         return Route((Segment(Path.from_points(points, said)),))
+    unfit = None
     if not _against_motion(poses).any():
-        path = _exact(_interpolation(positions, said), settings.path_tolerance)
+        unfit = _interpolation(positions, said)
+        path = _exact(unfit, settings.path_tolerance)
         if path is not None:
             return Route((Segment(path),))
-    return _cut_route(poses, said, settings)
+    return _cut_route(poses, said, settings, unfit)
 
 
 def _useful_headings(
@@ -138,8 +140,16 @@ def _exact(through: Interpolation, tolerance: float) -> Path | None:
         return None
 
 
-def _cut_route(poses: _Poses, said: bool | None, settings: PathSettings) -> Route:
+def _cut_route(
+    poses: _Poses, said: bool | None, settings: PathSettings, unfit: Interpolation | None
+) -> Route:
     """Return the route of poses that need smoothing, cuts or driving backwards.
+
+    Args:
+        poses: The poses.
+        said: Whether the path is closed, where somebody says so.
+        settings: What to prepare it with.
+        unfit: The spline through all of them, if it is known not to be the path.
 
     Raises:
         PathError: It needs `allow_reversing`, or cannot be smoothed.
@@ -159,7 +169,7 @@ def _cut_route(poses: _Poses, said: bool | None, settings: PathSettings) -> Rout
     if not settings.allow_reversing:
         _refuse_reversing(poses, tips, set(cusps.tolist()) & set(cuts), cuts, directions)
     if not cuts:
-        path = _fitted(poses, closed if said is None else said, tolerance)
+        path = _fitted(poses, closed if said is None else said, tolerance, unfit)
         return Route((Segment(path, bool(directions[0] < 0)),))
     if said:
         raise PathError(
@@ -283,16 +293,20 @@ def _refuse_reversing(
         )
 
 
-def _fitted(poses: _Poses, closed: bool | None, tolerance: float) -> Path:
-    """Return the path of one segment.
+def _fitted(
+    poses: _Poses, closed: bool, tolerance: float, unfit: Interpolation | None = None
+) -> Path:
+    """Return the path of one segment; `unfit` is a spline through it that is known not to be it.
 
     Raises:
         PathError: It cannot be smoothed within the tolerance.
 
     """
-    through = _interpolation(poses.points, closed)
+    if unfit is not None and unfit.closed != closed:
+        unfit = None
+    through = unfit or _interpolation(poses.points, closed)
     try:
-        path = _exact(through, tolerance)
+        path = None if unfit else _exact(through, tolerance)
         if path is not None:
             return path
         if tolerance == 0.0:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -79,6 +80,7 @@ class Interpolation:
         step = length / count
         return np.asarray(np.arange(count + (not self.closed)) * step, dtype=float), step
 
+    @cached_property
     def bulges(self) -> FloatArray:
         """Return how far the spline leaves each chord [m], shape (N - 1,)."""
         start, chord = self.points[:-1], np.diff(self.points, axis=0)
@@ -94,12 +96,14 @@ class Interpolation:
 
 def is_fair(through: Interpolation, tolerance: float) -> bool:
     """Return whether a spline is near its polyline, and smoothing would hardly straighten it."""
-    if through.bulges().max() > tolerance:
+    if through.bulges.max() > tolerance:
         return False
     places, step = through.places(tolerance)
     along = _evaluated(through.spline, places)
     budget = np.full(len(places), tolerance)
-    return not _blends(Grid(along, step, through.closed), along, budget, _EXACT_RATIO)
+    grid = Grid(along, step, through.closed)
+    curves, shares = _levels(grid, along, budget)
+    return not any(level.any() for level in _wanted(grid, curves, shares, _EXACT_RATIO)[1:])
 
 
 def smoothed(through: Interpolation, tolerance: float) -> tuple[FloatArray, float]:
@@ -112,7 +116,7 @@ def smoothed(through: Interpolation, tolerance: float) -> tuple[FloatArray, floa
     """
     points, parameter, closed = through.points, through.parameter, through.closed
     places, step = through.places(tolerance)
-    bulge = through.bulges()
+    bulge = through.bulges
     chord = np.clip(np.searchsorted(parameter, places, side="right") - 1, 0, len(bulge) - 1)
     faithful = (bulge <= _FAITHFUL * tolerance)[chord]
     straight = np.stack([np.interp(places, parameter, points[:, axis]) for axis in (0, 1)], axis=1)
@@ -198,7 +202,7 @@ def _beside(
 
 
 def _blends(
-    grid: Grid, anchor: FloatArray, budget: FloatArray, fair_ratio: float = _FAIR_RATIO
+    grid: Grid, anchor: FloatArray, budget: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Choose the level of smoothing at each place, within a budget of distance (M,) [m].
 
@@ -208,8 +212,7 @@ def _blends(
 
     """
     curves, shares = _levels(grid, anchor, budget)
-    bends = [_bend(Grid(curve, grid.step, grid.closed)) for curve in curves]
-    wanted = _wanted(bends, shares, grid.mode, fair_ratio)
+    wanted = _wanted(grid, curves, shares, _FAIR_RATIO)
     blends = []
     for level in range(1, len(curves)):
         width = _BOX_WIDTHS[level - 1]
@@ -258,16 +261,17 @@ def _levels(
 
 
 def _wanted(
-    bends: list[FloatArray], shares: list[FloatArray], mode: str, fair_ratio: float
+    grid: Grid, curves: list[FloatArray], shares: list[FloatArray], fair_ratio: float
 ) -> list[np.ndarray]:
     """Return for each level where it, or a higher one, is better than those below, (M,) each."""
+    bends = [_bend(Grid(curve, grid.step, grid.closed)) for curve in curves]
     count = len(bends)
     wanted = [np.zeros(len(bends[0]), dtype=bool) for _ in range(count)]
     best = np.full(len(bends[0]), np.inf)  # curvature of the higher levels, where permitted
     higher = np.zeros(len(bends[0]), dtype=bool)
     for level in range(count - 1, 0, -1):
         around = maximum_filter1d(
-            bends[level], min(4 * _BOX_WIDTHS[level - 1] - 3, len(best)), mode=mode
+            bends[level], min(4 * _BOX_WIDTHS[level - 1] - 3, len(best)), mode=grid.mode
         )
         best = np.where(shares[level] > 0.0, np.minimum(best, around), best)
         higher = higher | (bends[level - 1] > fair_ratio * best + _FAIR_DIFFERENCE)

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.spatial import cKDTree
 
+from adp_path_follower.core import path_preparation
 from adp_path_follower.core.errors import PathError
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.smoothing import is_fair
 
 FORWARDS = PathSettings()
 BOTH_WAYS = PathSettings(allow_reversing=True)
@@ -303,3 +305,16 @@ def test_any_polyline_is_followed_within_the_tolerance(
     route = route_or_refusal(points, path_settings, headings)
     if route is not None:
         assert_within(route, points, path_settings.path_tolerance + 1e-9)
+
+
+@pytest.mark.parametrize("closed", [None, True, False])
+def test_a_long_path_is_tried_for_fairness_once(monkeypatch, closed):
+    asked = []
+
+    def spied(*arguments):
+        asked.append(arguments)
+        return is_fair(*arguments)
+
+    monkeypatch.setattr(path_preparation, "is_fair", spied)
+    prepare(SQUARE, FORWARDS, closed=closed)
+    assert len(asked) == 1
