@@ -12,6 +12,7 @@ takes part is within the tolerance there, so is the blend.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -102,8 +103,16 @@ def is_fair(through: Interpolation, tolerance: float) -> bool:
     along = _evaluated(through.spline, places)
     budget = np.full(len(places), tolerance)
     grid = Grid(along, step, through.closed)
-    curves, shares = _levels(grid, along, budget)
-    return not any(level.any() for level in _wanted(grid, curves, shares, _EXACT_RATIO)[1:])
+    levels = _levels(grid, along, budget)
+    next(levels)  # the curve itself
+    worst = _bend(grid)  # of the levels so far
+    for level, (curve, share) in enumerate(levels, start=1):
+        bend = _bend(Grid(curve, step, through.closed))
+        better = worst > _EXACT_RATIO * _around(bend, level, grid.mode) + _FAIR_DIFFERENCE
+        if (better & (share > 0.0)).any():
+            return False
+        worst = np.maximum(worst, bend)
+    return True
 
 
 def smoothed(through: Interpolation, tolerance: float) -> tuple[FloatArray, float]:
@@ -211,8 +220,8 @@ def _blends(
         the curve is fair as it is.
 
     """
-    curves, shares = _levels(grid, anchor, budget)
-    wanted = _wanted(grid, curves, shares, _FAIR_RATIO)
+    curves, shares = zip(*_levels(grid, anchor, budget), strict=True)
+    wanted = _wanted(grid, curves, shares)
     blends = []
     for level in range(1, len(curves)):
         width = _BOX_WIDTHS[level - 1]
@@ -227,19 +236,20 @@ def _blends(
 
 def _levels(
     grid: Grid, anchor: FloatArray, budget: FloatArray
-) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return the curve of each level (M, 2), the first unsmoothed, and the share that it may have.
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield the curve of each level (M, 2), the first unsmoothed, and the share that it may have.
 
     The share (M,) is that of its step from the level before: 1 where it keeps to the budget within
     the kernel's reach, less where only a part of the step does.
     """
     values, mode = grid.values, grid.mode
-    curves, shares = [values], [np.ones(len(values))]
+    share = np.ones(len(values))
+    yield values, share
     moved = np.hypot(*(values - anchor).T)
     for width in _BOX_WIDTHS:
         reach = 2 * (width - 1)
         if reach >= len(values) - 1:
-            break
+            return
         around = ((reach, reach), (0, 0))
         if grid.closed:
             padded = np.pad(values, around, mode="wrap")
@@ -248,20 +258,18 @@ def _levels(
         curve = _four_boxes(padded, width, "nearest")[reach:-reach]
         before, moved = moved, np.hypot(*(curve - anchor).T)
         beyond = moved > budget
-        share = (shares[-1] == 1.0).astype(float)
+        share = (share == 1.0).astype(float)
         if beyond.any():
             part = np.clip(budget[beyond] - before[beyond], 0.0, None)
             share[beyond] *= part / np.maximum(moved[beyond] - before[beyond], 1e-12).clip(part)
             share = minimum_filter1d(share, min(2 * reach + 1, len(share)), mode=mode)
         if not share.any():
-            break
-        curves.append(curve)
-        shares.append(share)
-    return curves, shares
+            return
+        yield curve, share
 
 
 def _wanted(
-    grid: Grid, curves: list[FloatArray], shares: list[FloatArray], fair_ratio: float
+    grid: Grid, curves: Sequence[FloatArray], shares: Sequence[FloatArray]
 ) -> list[np.ndarray]:
     """Return for each level where it, or a higher one, is better than those below, (M,) each."""
     bends = [_bend(Grid(curve, grid.step, grid.closed)) for curve in curves]
@@ -270,13 +278,17 @@ def _wanted(
     best = np.full(len(bends[0]), np.inf)  # curvature of the higher levels, where permitted
     higher = np.zeros(len(bends[0]), dtype=bool)
     for level in range(count - 1, 0, -1):
-        around = maximum_filter1d(
-            bends[level], min(4 * _BOX_WIDTHS[level - 1] - 3, len(best)), mode=grid.mode
-        )
+        around = _around(bends[level], level, grid.mode)
         best = np.where(shares[level] > 0.0, np.minimum(best, around), best)
-        higher = higher | (bends[level - 1] > fair_ratio * best + _FAIR_DIFFERENCE)
+        higher = higher | (bends[level - 1] > _FAIR_RATIO * best + _FAIR_DIFFERENCE)
         wanted[level] = higher
     return wanted
+
+
+def _around(bend: FloatArray, level: int, mode: str) -> FloatArray:
+    """Return the greatest of a level's curvatures within the reach of its kernel, (M,)."""
+    size = min(4 * _BOX_WIDTHS[level - 1] - 3, len(bend))
+    return np.asarray(maximum_filter1d(bend, size, mode=mode))
 
 
 def _bend(grid: Grid) -> FloatArray:
