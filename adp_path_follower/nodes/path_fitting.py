@@ -146,6 +146,9 @@ class FittingProcess:
                 f"path cannot be prepared: the process at work on it has ended (exit code {code}); "
                 "publish it again, with fewer poses if memory is short"
             )
+        except Exception as error:
+            self._replace()  # the rest of the answer must not be taken for that to the next path
+            return reason(error)
         return found
 
     def _replace(self) -> int | None:

@@ -17,13 +17,14 @@ from rclpy.serialization import serialize_message
 
 from adp_path_follower.bags.cdr import CdrError
 from adp_path_follower.core.errors import AdpError, PathError
-from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.path_library import circle, lissajous
 from adp_path_follower.core.settings import PathSettings
 from adp_path_follower.nodes import path_fitting
 from adp_path_follower.nodes.conversions import poses_message
 from adp_path_follower.nodes.path_fitting import FittingProcess, reason, route_of_message
 
 EIGHT = serialize_message(poses_message(lissajous().points(0.05), "odom", 0))
+CIRCLE = serialize_message(poses_message(circle(1.0).points(0.05), "odom", 0))
 SPOT = serialize_message(poses_message(lissajous().points(1e3), "odom", 0))[:60]
 
 
@@ -62,6 +63,18 @@ def test_a_process_that_has_ended_meanwhile_is_replaced():
             _until_dead(ended)
             assert fitting.route(EIGHT, (), PathSettings()).closed
             assert fitting.pid != ended
+
+
+def test_an_answer_that_cannot_be_taken_is_not_taken_for_the_next_one(monkeypatch):
+    def fail(size):
+        raise MemoryError(f"no {size} bytes")
+
+    with FittingProcess() as fitting:
+        with monkeypatch.context() as patch:
+            patch.setattr(path_fitting, "_receive", fail)
+            with pytest.raises(PathError, match="unexpected MemoryError: no"):
+                fitting.route(EIGHT, (), PathSettings())
+        assert fitting.route(CIRCLE, (), PathSettings()).length < 10.0
 
 
 def kill_itself(*request):
