@@ -68,11 +68,15 @@ class WideRegion:
 
         Its steering, -(P_yθ y + P_θθ θ) / R near the path, steers towards the heading
         -P_yθ y / P_θθ; limiting that heading below a right angle leaves no place from which a
-        robot that cannot reverse would wait for ever.
+        robot that cannot reverse would wait for ever. Its speed counts what a speed does at this
+        heading, (cos θ, sin θ): far off course, more speed drives away from the target.
         """
         s, y, theta = (zeta[..., axis] for axis in range(3))
         slope = matrix[..., 1, 2] / matrix[..., 2, 2]
         widest = self._policy.approach_angle
         off_course = wrap_angle(theta + widest * np.tanh(slope * y / widest))
-        pull = components(matrix[..., 0, 0] * s, matrix[..., 2, 2] * off_course)
+        ahead, aside = matrix[..., 0, 0] * s, matrix[..., 1, 1] * y
+        pull = components(
+            ahead * np.cos(theta) + aside * np.sin(theta), matrix[..., 2, 2] * off_course
+        )
         return np.asarray(-pull @ self._input_cost_inverse)

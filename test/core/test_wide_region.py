@@ -197,3 +197,17 @@ def test_a_robot_without_reverse_arrives_from_anywhere(name):
     assert np.linalg.norm(result.final_error, axis=1).max() < 0.05
     assert np.isfinite(result.settling_time).all()
     assert (result.max_inputs <= [1.0 + 1e-12, 1.5 + 1e-12]).all()
+
+
+@pytest.mark.parametrize("slowest", [-math.inf, -1.0], ids=["unlimited", "reversing at 1 m/s"])
+@pytest.mark.parametrize("name", ["line", "circle:0.5", "lissajous"])
+def test_a_robot_that_can_reverse_does_not_drive_away(name, slowest):
+    spread = np.random.default_rng(5).uniform(-1.0, 1.0, (100, 3)) * [3.0, 3.0, math.pi]
+    starts = np.vstack([spread, [[2.0, 3.0, 3.1], [1.5, 2.0, 3.1]]])
+    limits = UNLIMITED if math.isinf(slowest) else {"min_linear_vel": slowest}
+    result = simulate(
+        build(Settings, limits), named_path(name), starts, learning="frozen", duration=25, rate=25
+    )
+    assert not result.failed.any()
+    assert np.isfinite(result.settling_time).all()
+    assert np.linalg.norm(result.final_error, axis=1).max() < 0.05
