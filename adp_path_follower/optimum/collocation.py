@@ -7,6 +7,8 @@ a second horizon say how exact the result is.
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -21,11 +23,18 @@ from adp_path_follower.core.settings import Settings
 from adp_path_follower.optimum.problem import Motion, OptimumError, Problem
 
 HORIZON = 30.0  # [s]
+SETTLED = 1e-4  # relative change of J* with the horizon, below which it is that of any horizon
+
+_LONGEST_HORIZON = 1000.0  # [s]: beyond, the mesh is too coarse where the errors are
 
 _DEGREE = 5  # of the polynomials on each mesh interval
 _INTERVALS = 40
 _GRADING = 4.0  # logarithm of how much longer the last interval is than the first
 _TOLERANCE = 1e-6  # relative change of J from one mesh to the next that counts as none
+_NOTHING = 1e-9  # a cost in which nothing is to be won: the start is on the path
+_DENSITY_EXPONENT = 1.0 / 3.0  # of an interval's error, in how many intervals take its place
+_KEPT = 0.3  # of a mesh's intervals that stay where they are
+_MOST_MESHES = 16  # transcribed at a time
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,7 @@ class Optimum:
         mesh_change: Relative change of J from the mesh with half as many intervals.
         horizon_change: Relative change of J when the horizon is half as long again.
         intervals: Number of mesh intervals.
-        guesses: J from each starting guess that converged, best first.
+        guesses: J of each motion that starting guesses led to, best first, on a coarse mesh.
 
     """
 
@@ -56,6 +65,11 @@ class Optimum:
     def has_local_optima(self) -> bool:
         """Return whether starting guesses led to different motions."""
         return self.guesses[-1] > self.guesses[0] * (1.0 + 1e-4) + 1e-9
+
+    @property
+    def settled(self) -> bool:
+        """Return whether nothing is left to win after the horizon."""
+        return self.horizon_change <= SETTLED
 
 
 def solve_optimum(
@@ -92,14 +106,14 @@ class OptimumSolver:
         horizon: float = HORIZON,
     ) -> None:
         """Prepare; see `solve_optimum`."""
-        if not (math.isfinite(start_arc_length) and 0.0 < horizon < math.inf):
+        if not (math.isfinite(start_arc_length) and 0.0 < horizon <= _LONGEST_HORIZON):
             raise OptimumError(
                 f"start_arc_length is {start_arc_length} m and horizon {horizon} s, but they must "
-                "be finite, the horizon above 0"
+                f"be finite, the horizon above 0 and at most {_LONGEST_HORIZON:g}"
             )
         self.problem = Problem(settings, path, start_arc_length, 1.5 * horizon)
         self._horizon = horizon
-        self._meshes: dict[tuple[int, float], _Mesh] = {}
+        self._mesh = functools.lru_cache(_MOST_MESHES)(self._transcribed)
 
     def solve(self, start: FloatArray) -> Optimum:
         """Return the optimal motion from an initial error [s, y, theta], shape (3,).
@@ -111,65 +125,109 @@ class OptimumSolver:
         start = np.asarray(start, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise OptimumError(f"start is {start.tolist()}, but must be finite values s, y, theta")
-        intervals = _INTERVALS // 2
-        coarse = self._mesh(intervals, self._horizon)
-        found = [
-            motion
-            for guess in self.problem.guesses(start, coarse.time)
-            if (motion := coarse.solve(start, guess)) is not None
-        ]
-        if not found:
+        candidates = self._candidates(start)
+        if not candidates:
             raise OptimumError(
                 f"no optimum found from the start {start.tolist()}: the solver did not converge "
                 "from any starting guess"
             )
-        found.sort(key=lambda motion: motion.cost)
-        best, change = found[0], math.inf
-        while change > _TOLERANCE:
-            intervals *= 2
-            if intervals > 8 * _INTERVALS:
-                raise OptimumError(
-                    f"optimum from the start {start.tolist()} changes by {change:.1e} even on a "
-                    f"mesh of {intervals // 2} intervals: shorten the horizon"
-                )
-            finer = self._refined(best, intervals, self._horizon, start)
-            change, best = abs(finer.cost - best.cost) / max(finer.cost, 1e-12), finer
-            if finer.cost < 1e-9:  # the start is on the path: nothing to win, nothing to compare
-                break
-        longer = self._refined(best, intervals, 1.5 * self._horizon, start)
+        coarse, best = candidates[0]
+        best, breaks, change = self._converged(coarse, best)
+        longer = self._refined(best, _prolonged(breaks))
         return Optimum(
             motion=best,
-            mesh_change=change if math.isfinite(change) else 0.0,
-            horizon_change=abs(longer.cost - best.cost) / max(best.cost, 1e-12),
-            intervals=intervals,
-            guesses=tuple(motion.cost for motion in found),
+            mesh_change=change,
+            horizon_change=_change(longer, best),
+            intervals=len(breaks) - 1,
+            guesses=tuple(motion.cost for _, motion in candidates),
         )
 
-    def _refined(self, motion: Motion, intervals: int, horizon: float, start: FloatArray) -> Motion:
+    def _candidates(self, start: FloatArray) -> list[tuple[Motion, Motion]]:
+        """Return what starting guesses lead to, on a mesh and on one twice as fine, best first."""
+        breaks = _graded(_INTERVALS // 2, self._horizon)
+        coarse, fine = self._mesh(breaks), self._mesh(_halved(breaks))
+        found: list[Motion] = []
+        for guess in self.problem.guesses(start, coarse.time):
+            motion = coarse.solve(guess)
+            if motion is not None and all(_change(motion, other) > 1e-6 for other in found):
+                found.append(motion)
+        pairs = [(motion, fine.solve(motion.at(fine.time))) for motion in found]
+        solved = [(first, second) for first, second in pairs if second is not None]
+        return sorted(solved, key=lambda pair: pair[1].cost)
+
+    def _converged(self, coarse: Motion, best: Motion) -> tuple[Motion, tuple[float, ...], float]:
+        """Return the optimum on a mesh so fine that halving its intervals changes nothing.
+
+        Args:
+            coarse: The motion on the coarsest mesh.
+            best: The same on the next one.
+
+        Returns:
+            The motion, the mesh, and the relative change of J by the last halving.
+
+        """
+        breaks = _halved(_graded(_INTERVALS // 2, self._horizon))
+        change = _change(best, coarse)
+        while change > _TOLERANCE:
+            if len(breaks) > 4 * _INTERVALS:
+                raise OptimumError(
+                    f"optimum from the start {best.state[0, :3].tolist()} changes by {change:.1e} "
+                    f"even on a mesh of {len(breaks) - 1} intervals: shorten the horizon, or "
+                    "smooth the path where it bends sharply (path_tolerance)"
+                )
+            if len(breaks) > 2 * _INTERVALS:  # halving alone does not get far in a sharp bend
+                breaks = self._mesh(breaks).redistributed(best)
+                best = self._refined(best, breaks)
+            breaks = _halved(breaks)
+            finer = self._refined(best, breaks)
+            change, best = _change(finer, best), finer
+        return best, breaks, change
+
+    def _refined(self, motion: Motion, breaks: tuple[float, ...]) -> Motion:
         """Return the optimum on another mesh, started from a motion."""
-        mesh = self._mesh(intervals, horizon)
-        refined = mesh.solve(start, motion.at(mesh.time))
+        mesh = self._mesh(breaks)
+        refined = mesh.solve(motion.at(mesh.time))
         if refined is None:
             raise OptimumError(
-                f"no optimum found from the start {start.tolist()} on {intervals} intervals over "
-                f"{horizon:g} s"
+                f"no optimum found from the start {motion.state[0, :3].tolist()} on "
+                f"{len(breaks) - 1} intervals over {breaks[-1]:g} s"
             )
         return refined
 
-    def _mesh(self, intervals: int, horizon: float) -> _Mesh:
-        key = intervals, horizon
-        if key not in self._meshes:
-            self._meshes[key] = _Mesh(self.problem, intervals, horizon)
-        return self._meshes[key]
+    def _transcribed(self, breaks: tuple[float, ...]) -> _Mesh:
+        return _Mesh(self.problem, np.array(breaks))
+
+
+def _change(motion: Motion, other: Motion) -> float:
+    """Return by how much J differs, relative; 0 where both have nothing to win."""
+    greater = max(motion.cost, other.cost)
+    return 0.0 if greater < _NOTHING else abs(motion.cost - other.cost) / greater
+
+
+def _graded(intervals: int, horizon: float) -> tuple[float, ...]:
+    """Return the breaks [s] of a mesh that is fine where the errors are large."""
+    growth = np.expm1(_GRADING * np.linspace(0.0, 1.0, intervals + 1))
+    return tuple((horizon * growth / math.expm1(_GRADING)).tolist())
+
+
+def _halved(breaks: tuple[float, ...]) -> tuple[float, ...]:
+    """Return a mesh with every interval cut in two."""
+    middles = [0.5 * (first + last) for first, last in itertools.pairwise(breaks)]
+    return tuple(sorted([*breaks, *middles]))
+
+
+def _prolonged(breaks: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the same mesh with a horizon half as long again."""
+    step = breaks[-1] - breaks[-2]
+    more = max(1, math.ceil(0.5 * breaks[-1] / step))
+    return (*breaks, *np.linspace(breaks[-1], 1.5 * breaks[-1], more + 1)[1:].tolist())
 
 
 class _Mesh:
     """The transcribed problem on one mesh; the start is a parameter."""
 
-    def __init__(self, problem: Problem, intervals: int, horizon: float) -> None:
-        growth = np.expm1(_GRADING * np.linspace(0.0, 1.0, intervals + 1))
-        breaks = horizon * growth / math.expm1(_GRADING)
-        steps = np.diff(breaks)
+    def __init__(self, problem: Problem, breaks: FloatArray) -> None:
+        intervals, steps = len(breaks) - 1, np.diff(breaks)
         points = np.array(casadi.collocation_points(_DEGREE, "radau"))
         derivative, _, quadrature = casadi.collocation_coeff(points.tolist())
         self.time = np.append(0.0, (breaks[:-1, None] + steps[:, None] * points).ravel())
@@ -177,7 +235,8 @@ class _Mesh:
         state = casadi.MX.sym("state", 4, count + 1)
         inputs = casadi.MX.sym("inputs", 2, count)
         start = casadi.MX.sym("start", 4)
-        rate, cost, angular = problem.expressions().map(count)(state[:, 1:], inputs)
+        expressions = problem.expressions()
+        rate, cost, angular = expressions.map(count)(state[:, 1:], inputs)
         defects, total = [state[:, 0] - start], 0.0
         for index, step in enumerate(steps):
             first, last = index * _DEGREE, (index + 1) * _DEGREE
@@ -185,22 +244,19 @@ class _Mesh:
             defects.append(casadi.vec(slope - step * rate[:, first:last]))
             total += step * (cost[:, first:last] @ quadrature)
         limits, v_des = problem.settings.limits, problem.settings.target.desired_speed
+        (slowest, _), (fastest, sharpest) = limits.lower.tolist(), limits.upper.tolist()
         self._bounds: dict[str, Any] = {}
         equalities = 4 * (count + 1)
         bound = np.zeros(equalities)
         self._bounds["lbg"], self._bounds["ubg"] = bound, bound
-        if math.isfinite(limits.max_angular_vel):
+        if math.isfinite(sharpest):
             defects.append(angular.T)
-            turn = np.full(count, limits.max_angular_vel)
+            turn = np.full(count, sharpest)
             self._bounds["lbg"] = np.append(bound, -turn)
             self._bounds["ubg"] = np.append(bound, turn)
         free = np.full(equalities, math.inf)
-        self._bounds["lbx"] = np.append(
-            -free, np.tile([limits.min_linear_vel - v_des, -math.inf], count)
-        )
-        self._bounds["ubx"] = np.append(
-            free, np.tile([limits.max_linear_vel - v_des, math.inf], count)
-        )
+        self._bounds["lbx"] = np.append(-free, np.tile([slowest - v_des, -math.inf], count))
+        self._bounds["ubx"] = np.append(free, np.tile([fastest - v_des, math.inf], count))
         self._solver = casadi.nlpsol(
             "optimum",
             "ipopt",
@@ -218,18 +274,46 @@ class _Mesh:
                 "ipopt.max_iter": 500,
             },
         )
-        self._problem, self._points = problem, points
+        self._expressions, self._breaks, self._points = expressions, breaks, points
 
-    def solve(self, start: FloatArray, guess: Motion) -> Motion | None:
-        """Return the optimal motion found from a guess; None if there is none."""
+    def solve(self, guess: Motion) -> Motion | None:
+        """Return the optimal motion from where a guess starts; None if none is found."""
+        start = guess.state[0]
         values = np.append(guess.state.ravel(), guess.modified_input[1:].ravel())
-        place = [*start, self._problem.start_arc_length]
-        result = self._solver(x0=values, p=place, **self._bounds)
+        result = self._solver(x0=values, p=start, **self._bounds)
         if not self._solver.stats()["success"]:
             return None
         found = np.array(result["x"]).ravel()
         state = found[: guess.state.size].reshape(-1, 4)
+        state[0] = start  # as it is, without the solver's rounding
         inputs = found[guess.state.size :].reshape(-1, 2)
         # No collocation point lies at the start: the first interval's polynomial gives its input.
         first = BarycentricInterpolator(self._points, inputs[:_DEGREE])(0.0)
         return Motion(float(result["f"]), self.time, state, np.vstack([first, inputs]))
+
+    def redistributed(self, motion: Motion) -> tuple[float, ...]:
+        """Return a mesh with as many intervals, close where a motion's polynomials are wrong."""
+        count = len(self._breaks) - 1
+        share = np.maximum(self._errors(motion), 1e-300) ** _DENSITY_EXPONENT
+        mass = _KEPT / count + (1.0 - _KEPT) * share / share.sum()
+        along = np.append(0.0, np.cumsum(mass))
+        breaks = np.interp(np.linspace(0.0, along[-1], count + 1), along, self._breaks)
+        breaks[0], breaks[-1] = 0.0, self._breaks[-1]
+        return tuple(breaks.tolist())
+
+    def _errors(self, motion: Motion) -> FloatArray:
+        """Return by how much the dynamics are missed between the points of each interval, (N,)."""
+        steps = np.diff(self._breaks)
+        nodes = np.append(0.0, self._points)
+        between = 0.5 * (nodes[1:] + nodes[:-1])
+        index = np.arange(len(steps))[:, None] * _DEGREE + np.arange(_DEGREE + 1)
+        states = np.swapaxes(motion.state[index], 0, 1)  # (points, N, 4)
+        inputs = np.swapaxes(motion.modified_input[index[:, 1:]], 0, 1)
+        curve = BarycentricInterpolator(nodes, states)
+        state, slope = curve(between), curve.derivative(between)
+        input_ = BarycentricInterpolator(self._points, inputs)(between)
+        rate, *_ = self._expressions.map(state.shape[0] * state.shape[1])(
+            state.reshape(-1, 4).T, input_.reshape(-1, 2).T
+        )
+        missed = slope - steps[:, None] * np.array(rate).T.reshape(state.shape)
+        return np.asarray(np.abs(missed).max(axis=(0, 2)))

@@ -11,13 +11,14 @@ import numpy as np
 
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, wrap_angle
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.policy import saturate
 from adp_path_follower.core.riccati import riccati_solution
 from adp_path_follower.core.settings import Settings
 
 _MARGIN = 10.0  # [m] of path behind and ahead of what the desired speed covers
+_LONGEST = 2000.0  # [m] of path whose curvature is prepared
 
 
 class OptimumError(AdpError):
@@ -63,8 +64,14 @@ class Problem:
         self.start_arc_length = start_arc_length
         self.state_cost = settings.cost.state_cost_matrix()
         self.input_cost = settings.cost.input_cost_matrix()
-        reach = start_arc_length + settings.target.desired_speed * horizon + _MARGIN
-        knots = np.arange(start_arc_length - _MARGIN, reach, 0.02)
+        covered = settings.target.desired_speed * horizon + 2.0 * _MARGIN
+        if covered > _LONGEST:
+            raise OptimumError(
+                f"the robot covers {covered:.3g} m within the horizon, but at most {_LONGEST:g} m "
+                "can be optimised: give a shorter horizon"
+            )
+        first = start_arc_length - _MARGIN
+        knots = np.arange(first, first + covered, 0.02)
         self._curvature = casadi.interpolant("curvature", "bspline", [knots], path.curvature(knots))
 
     def expressions(self) -> Any:
@@ -85,15 +92,21 @@ class Problem:
         return casadi.Function("problem", [state, u], [rate, cost, u[1] + curvature * v_des])
 
     def guesses(self, start: FloatArray, time: FloatArray) -> list[Motion]:
-        """Return starting guesses: the Riccati policy's motion, a fast and a slow decay."""
+        """Return starting guesses: the Riccati policy's motion, a fast and a slow decay.
+
+        Where the robot faces backwards there are all three for each way to turn: theta and
+        theta -+ 2 pi are one heading, and the errors are to decay from either.
+        """
         v_des = self.settings.target.desired_speed
         arc_length = self.start_arc_length + v_des * time
         motions = []
-        for rate in (1.0, 0.3):
-            error = np.exp(-rate * time)[:, None] * start
-            state = np.column_stack([error, arc_length])
-            motions.append(Motion(math.inf, time, state, np.zeros((len(time), 2))))
-        return [self._riccati_motion(start, time), *motions]
+        for turned in _windings(start):
+            motions.append(self._riccati_motion(turned, time))
+            for rate in (1.0, 0.3):
+                error = np.exp(-rate * time)[:, None] * turned
+                state = np.column_stack([error, arc_length])
+                motions.append(Motion(math.inf, time, state, np.zeros((len(time), 2))))
+        return motions
 
     def _riccati_motion(self, start: FloatArray, time: FloatArray) -> Motion:
         """Return the motion of the Riccati policy, with its errors bounded to stay a guess."""
@@ -116,3 +129,14 @@ class Problem:
                 state[step + 1, :3] = np.clip(state[step, :3] + 0.02 * rate[:3], -20.0, 20.0)
                 state[step + 1, 3] = state[step, 3] + 0.02 * speed
         return Motion(math.inf, fine, state, inputs).at(time)
+
+
+def _windings(start: FloatArray) -> list[FloatArray]:
+    """Return a start [s, y, theta], shape (3,), with each theta from which it is worth turning."""
+    theta = float(start[2])
+    if abs(theta) > math.pi:
+        theta = float(wrap_angle(theta))
+    turns = [theta]
+    if abs(theta) > 0.5 * math.pi:
+        turns.append(theta - math.copysign(2.0 * math.pi, theta))
+    return [np.array([start[0], start[1], turn]) for turn in turns]
