@@ -192,7 +192,11 @@ BAD_INPUT = [
     (["demo", "--out", "full"], "output full holds files already"),
     (["demo", "--out", "empty"], "output empty is a file"),
     (["paper", "--out", "full"], "output full holds files already"),
+    (["simulate", "--json", "x", "--npz", "./x"], "output x is given twice"),
     (["optimum", "--horizon", "-1"], "horizon -1.0 s"),
+    (["optimum", "--horizon", "1e7"], "horizon 10000000.0 s, but they must be finite, the horizon"),
+    (["optimum", "--figure", "x.txt"], "figure x.txt must end in .png,"),
+    (["optimum", "--figure", "x"], "figure x must end in .png,"),
     (["compare", "--controllers", "adp,pid"], "unknown controller 'pid': choose from adp,"),
     (["compare", "--out", "full"], "output full holds files already"),
     (["compare", "--starts", "header.csv"], "has no column 's'"),
@@ -228,6 +232,33 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, arguments, expected):
     assert len(done.stderr.strip().splitlines()) == 1
     assert done.stdout == ""
     assert (folder / "full" / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "name"),
+    [
+        ("simulate", "--json", "x.json"),
+        ("simulate", "--npz", "x.npz"),
+        ("optimum", "--json", "x.json"),
+        ("optimum", "--npz", "x.npz"),
+        ("optimum", "--figure", "x.png"),
+    ],
+)
+def test_a_full_disk_is_one_sentence_below_the_result(tmp_path, command, option, name):
+    (tmp_path / name).symlink_to("/dev/full")
+    duration = ["--duration", "0.1"] if command == "simulate" else []
+    done = adp(command, *duration, option, name, cwd=tmp_path)
+    assert done.returncode == 2
+    assert f"output {name} cannot be written: No space left on device" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "-0.500   0.250   -0.524" in done.stdout
+
+
+def test_an_output_has_the_name_that_was_given(tmp_path):
+    done = adp("simulate", "--duration", "0.1", "--npz", "trajectories", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [file.name for file in tmp_path.iterdir()] == ["trajectories"]
+    assert np.load(tmp_path / "trajectories")["error"].shape == (1, 11, 3)
 
 
 def test_unfinished_costs_are_null_in_json(tmp_path):

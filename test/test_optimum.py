@@ -208,6 +208,47 @@ def test_a_start_without_an_optimum_is_named_and_the_others_are_there(tmp_path):
     assert good["converged"]
 
 
+def test_an_optimum_of_a_short_horizon_is_called_so(tmp_path):
+    done = adp("optimum", "--horizon", "1", "--json", "o.json", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "with a horizon half as long again: give a longer --horizon" in done.stderr
+    (entry,) = json.loads((tmp_path / "o.json").read_text())["optima"]
+    assert not entry["converged"]
+
+
+def test_a_check_that_disagrees_is_said(monkeypatch):
+    from adp_path_follower.optimum import costate
+
+    extremal = costate.Extremal(0.5418868 * (1.0 + 2e-5), np.zeros(4))
+    monkeypatch.setattr(costate, "solve_costates", lambda problem, motion: extremal)
+    done = adp("optimum", "--check")
+    assert done.returncode == 1
+    assert "is 0.5418868 by collocation, but 0.5418976 by costates" in done.stderr
+
+
+def test_the_speed_limit_counts():
+    limits = {"max_linear_vel": 1.0, "speed_limit": 0.6}
+    optimum = solver(**limits)
+    found = optimum.solve(np.array([-1.0, 0.2, 0.1]))
+    assert 0.5 + found.motion.modified_input[:, 0].max() == pytest.approx(0.6, abs=1e-6)
+    assert solve_costates(optimum.problem, found.motion).cost == pytest.approx(found.cost, rel=1e-6)
+
+
+def test_a_path_is_prepared_as_the_parameters_say(tmp_path):
+    (tmp_path / "corner.csv").write_text("x,y\n0,0\n3,0\n3,3\n")
+    costs = []
+    for tolerance in (0.02, 0.2):
+        done = adp(
+            *("optimum", "--path", "corner.csv", "--set", f"path_tolerance={tolerance}"),
+            *("--start", "0.1", "0.1", "0.1", "--start-arc-length", "2", "--json", "o.json"),
+            cwd=tmp_path,
+        )
+        assert done.returncode == 0, done.stderr
+        (entry,) = json.loads((tmp_path / "o.json").read_text())["optima"]
+        costs.append(entry["cost"])
+    assert costs[0] != pytest.approx(costs[1], rel=1e-3)
+
+
 def test_without_casadi_the_command_names_the_extra(tmp_path):
     (tmp_path / "casadi.py").write_text("raise ImportError('not here')\n")
     done = subprocess.run(

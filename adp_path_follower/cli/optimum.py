@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -20,12 +20,20 @@ from adp_path_follower.cli.options import (
     start_options,
     write_json,
 )
+from adp_path_follower.cli.outputs import check_figure, write_npz
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.speed_profile import speed_varies
 from adp_path_follower.shared_files import config_file
+
+if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
+    from adp_path_follower.optimum.collocation import Optimum
+
+_AGREEMENT = 1e-5  # relative difference between collocation and costates
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,7 @@ class _Row:
     """One start: what was found, or why nothing."""
 
     start: FloatArray
-    optimum: Any | None  # collocation.Optimum, whose module needs CasADi
+    optimum: Optimum | None
     check_cost: float | None
     problem: str
 
@@ -78,7 +86,8 @@ def optimum(
         adp optimum --params config/default.yaml --start 0.5 -0.5 1 \
             --start-arc-length 15
 
-    Exit code 1 if any start has no converged optimum; it is named, the others are still written.
+    Exit code 1 if a start has no converged optimum, J* changes with the horizon by more than 1e-4
+    of itself, or --check differs by more than 1e-5; it is named, the others are still written.
     """
     from adp_path_follower.optimum.collocation import OptimumSolver
     from adp_path_follower.optimum.costate import solve_costates
@@ -89,9 +98,10 @@ def optimum(
     )
     if check and len(settings.cost.input_cost) == 4 and not settings.limits.unlimited:
         raise AdpError("--check needs a diagonal input_cost where there are limits: leave it out")
-    path = named_path(path_name)
+    path = named_path(path_name, settings.path)
     errors = collect_starts(starts, starts_file)
     check_writable(json_file, npz_file, figure_file)
+    check_figure(figure_file)
     solver = OptimumSolver(settings, path, start_arc_length, horizon)
     rows: list[_Row] = []
     with progress_bar(f"solving {len(errors)} starts") as progress:
@@ -99,24 +109,58 @@ def optimum(
             found, check_cost, problem = None, None, ""
             try:
                 found = solver.solve(start)
+                problem = _unsettled(found, start)
                 check_cost = solve_costates(solver.problem, found.motion).cost if check else None
+                problem = problem or _disagreement(found, check_cost, start)
             except OptimumError as error:
                 problem = str(error)
             rows.append(_Row(start, found, check_cost, problem))
             progress((index + 1) / len(errors))
     click.echo(_table(rows, check))
-    if json_file is not None:
-        write_json(json_file, {"optima": [_entry(row) for row in rows]})
-    if npz_file is not None:
-        _write_npz(npz_file, rows)
-    if figure_file is not None:
-        from adp_path_follower.analysis.optimum_figure import draw_optima
-
-        draw_optima([row.optimum.motion for row in rows if row.optimum], figure_file)
+    if speed_varies(path, settings):
+        click.echo(
+            "v_des varies along this path, but the optimum has a constant one (docs/motion.md)"
+        )
     problems = [row.problem for row in rows if row.problem]
     for text in problems:
         click.echo(f"adp: {text}", err=True)
+    _write(rows, json_file, npz_file, figure_file)
     sys.exit(1 if problems else 0)
+
+
+def _unsettled(found: Optimum, start: FloatArray) -> str:
+    """Return what is wrong with an optimum that is not that of an infinite horizon, if it is."""
+    if found.settled:
+        return ""
+    return (
+        f"optimum from the start {start.tolist()} changes by {found.horizon_change:.1e} with a "
+        "horizon half as long again: give a longer --horizon"
+    )
+
+
+def _disagreement(found: Optimum, check_cost: float | None, start: FloatArray) -> str:
+    """Return by how much the costates' cost differs, if it is too much."""
+    if check_cost is None or abs(check_cost - found.cost) <= _AGREEMENT * found.cost + 1e-9:
+        return ""
+    return (
+        f"optimum from the start {start.tolist()} is {found.cost:.7g} by collocation, but "
+        f"{check_cost:.7g} by costates: one of the two is a local one, or not exact"
+    )
+
+
+def _write(
+    rows: list[_Row], json_file: Path | None, npz_file: Path | None, figure_file: Path | None
+) -> None:
+    """Write what was asked for."""
+    if json_file is not None:
+        write_json(json_file, {"optima": [_entry(row) for row in rows]})
+    if npz_file is not None:
+        write_npz(npz_file, _arrays(rows))
+    if figure_file is not None:
+        from adp_path_follower.analysis.optimum_figure import draw_optima
+
+        with output_to(figure_file):
+            draw_optima([row.optimum.motion for row in rows if row.optimum], figure_file)
 
 
 def _table(rows: list[_Row], check: bool) -> str:
@@ -169,8 +213,8 @@ def _entry(row: _Row) -> dict[str, object]:
     }
 
 
-def _write_npz(file: Path, rows: list[_Row]) -> None:
-    """Write the motions: arrays with the number of the start behind their name."""
+def _arrays(rows: list[_Row]) -> dict[str, Any]:
+    """Return the motions: arrays with the number of the start behind their name."""
     arrays: dict[str, Any] = {"starts": np.array([row.start for row in rows])}
     for index, row in enumerate(rows):
         if row.optimum is not None:
@@ -179,4 +223,4 @@ def _write_npz(file: Path, rows: list[_Row]) -> None:
             arrays[f"time_{index}"] = motion.time
             arrays[f"state_{index}"] = motion.state
             arrays[f"modified_input_{index}"] = motion.modified_input
-    np.savez_compressed(file, **arrays)
+    return arrays

@@ -182,12 +182,13 @@ def check_writable(*files: Path | None) -> None:
     """Refuse output files that cannot be written, before any work is done.
 
     Raises:
-        FileError: A folder is missing or not writable, or the file is a directory.
+        FileError: A folder is missing or not writable, the file is a directory, or two are one.
 
     """
-    for file in files:
-        if file is None:
-            continue
+    given = [file for file in files if file is not None]
+    for number, file in enumerate(given):
+        if file.resolve() in [other.resolve() for other in given[:number]]:
+            raise FileError(f"output {file} is given twice: give each output a file of its own")
         if file.is_dir():
             raise FileError(f"output {file} is a directory: give a file name")
         if not file.parent.is_dir():

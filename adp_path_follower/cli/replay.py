@@ -27,6 +27,7 @@ from adp_path_follower.cli.options import (
     settings_options,
     topic_options,
 )
+from adp_path_follower.cli.outputs import check_figure
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
@@ -96,6 +97,7 @@ def replay(
     """
     _refuse_contradictions(republish, closed_loop)
     check_writable(csv_file, figure_file)
+    check_figure(figure_file)
     run = read_run(bag, given_topics(odom=odom, cmd=cmd, path=path))
     if republish:
         _republish(bag, run, rate)

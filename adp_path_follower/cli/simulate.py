@@ -20,6 +20,7 @@ from adp_path_follower.cli.options import (
     start_options,
     write_json,
 )
+from adp_path_follower.cli.outputs import write_npz
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray
@@ -122,13 +123,12 @@ def simulate(
             progress=progress,
         )
     elapsed = time.perf_counter() - begun
+    click.echo(_table(result))
+    click.echo(_speed(len(errors) * duration, elapsed), err=True)
     if json_file is not None:
         write_json(json_file, {"runs": _runs(result)})
     if npz_file is not None and result.trajectories is not None:
-        arrays = dict(vars(result.trajectories))
-        np.savez_compressed(npz_file, starts=result.starts, **arrays)
-    click.echo(_table(result))
-    click.echo(_speed(len(errors) * duration, elapsed), err=True)
+        write_npz(npz_file, {"starts": result.starts, **vars(result.trajectories)})
 
 
 def _speed(simulated: float, elapsed: float) -> str:

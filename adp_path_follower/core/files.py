@@ -104,9 +104,7 @@ def write_whole(file: Path, content: bytes, unfinished: Path) -> None:
 
 @contextlib.contextmanager
 def output_to(output: Path) -> Iterator[None]:
-    """Say in one sentence why a file, or one in a folder, cannot be written.
-
-    The operating system names no file where it is the disk that is full.
+    """Say in one sentence why a file, or what a folder is to hold, cannot be written.
 
     Raises:
         FileError: The block raised an OSError.
@@ -117,8 +115,8 @@ def output_to(output: Path) -> Iterator[None]:
     except (AdpError, BrokenPipeError):
         raise
     except OSError as error:
-        where = error.filename or output
-        raise FileError(f"output {where} cannot be written: {error.strerror}") from None
+        reason = error.strerror or str(error)
+        raise FileError(f"output {output} cannot be written: {reason}") from None
 
 
 def write_output(file: Path, text: str) -> None:

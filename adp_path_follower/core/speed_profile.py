@@ -163,3 +163,10 @@ def _at_most_rising_by(values: FloatArray, steps: FloatArray) -> FloatArray:
     slope = np.append(0.0, np.cumsum(np.minimum(steps, values.max())))
     reached = np.minimum.accumulate(values - slope) + slope
     return np.where(reached < (1.0 - 1e-12) * values, reached, values)  # but for rounding
+
+
+def speed_varies(path: Path, settings: Settings) -> bool:
+    """Return whether v_des is anything else than `desired_speed`, along the path or from rest."""
+    motion = settings.motion
+    from_rest = math.isfinite(min(motion.max_linear_accel, motion.max_linear_decel))
+    return from_rest or SpeedProfile(path, settings).varies
