@@ -10,57 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.analysis.projection import project
-from adp_path_follower.baselines.registry import PEERS
+from adp_path_follower.contenders import Contender, contenders
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path import Path
-from adp_path_follower.core.schema import build, flatten, setting_fields
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.optimum.collocation import OptimumSolver
+from adp_path_follower.core.speed_profile import speed_varies
+from adp_path_follower.optimum.collocation import Optimum, OptimumSolver
 from adp_path_follower.optimum.problem import OptimumError
-from adp_path_follower.shared_files import config_file
-from adp_path_follower.simulation import (
-    PAPER_START,
-    ControllerFactory,
-    SimulationResult,
-    simulate,
-)
+from adp_path_follower.simulation import PAPER_START, SimulationResult, simulate
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings
 
-OWN = {
-    "adp": "Approximate optimal control, learned before the start (warm)",
-    "adp_cold": "The same, learning from the first step on",
-    "paper": "The paper's laws and gains, learning from the first step on",
-}
-CONTROLLERS: dict[str, str] = {**OWN, **{name: peer.description for name, peer in PEERS.items()}}
-
-_RATE = 100.0  # [Hz]
 _TRANSIENT = 10.0  # [s] after which the lap counts
 _LONGEST_LAP = 300.0  # [s] of a lap, or of an open path
 _OFF_PATH = 0.5  # [m] from the path at the end: that run has failed
-
-
-@dataclass(frozen=True)
-class Contender:
-    """One controller and how it is run.
-
-    Attributes:
-        name: As in `CONTROLLERS`.
-        settings: What it is made with.
-        factory: Makes it.
-        learning: How it starts: "cold" or "warm".
-        rate: Control steps per second [Hz].
-
-    """
-
-    name: str
-    settings: Settings
-    factory: ControllerFactory
-    learning: str
-    rate: float
 
 
 @dataclass(frozen=True)
@@ -70,11 +34,11 @@ class Outcome:
     Attributes:
         name: Controller.
         cost_ratio: J/J* of each start, shape (B,); NaN where J* is not known or the run failed.
-        cost: J of each start, shape (B,).
+        cost: J of each start, shape (B,); NaN, as all of a start that is none, where it was lost.
         failed: Runs that were lost, or ended more than 0.5 m from the path, shape (B,).
         settling_time: Until |e| stays below 0.05 [s]; infinite where it does not, shape (B,).
         effort: Integral of u^T R u of each start, shape (B,).
-        lap_time: Times of the lap after its first 10 s [s], shape (T,).
+        lap_time: Times of the lap after its first 10 s [s], shape (T,); T = 0 if the path ends.
         cross_track: Distance from the path then, positive to the left [m], shape (T,).
         step_time: Median computing time of one control step of one robot [s].
 
@@ -101,13 +65,15 @@ class Outcome:
 
     @property
     def cross_track_rms(self) -> float:
-        """Return the RMS distance from the path over the lap [m]."""
-        return float(np.sqrt(np.mean(self.cross_track**2)))
+        """Return the RMS distance from the path over the lap [m]; NaN without a lap."""
+        found = self.cross_track
+        return float(np.sqrt(np.mean(found**2))) if len(found) else math.nan
 
     @property
     def cross_track_max(self) -> float:
-        """Return the greatest distance from the path over the lap [m]."""
-        return float(np.abs(self.cross_track).max())
+        """Return the greatest distance from the path over the lap [m]; NaN without a lap."""
+        found = self.cross_track
+        return float(np.abs(found).max()) if len(found) else math.nan
 
 
 @dataclass(frozen=True)
@@ -119,6 +85,7 @@ class Comparison:
         starts: Initial errors, shape (B, 3).
         optimal_cost: J* of each start, shape (B,); NaN where no optimum was found.
         problems: Why, one sentence for each such start.
+        notes: What else there is to say about J*, in sentences.
         outcomes: One for each controller.
 
     """
@@ -127,43 +94,8 @@ class Comparison:
     starts: FloatArray
     optimal_cost: FloatArray
     problems: tuple[str, ...]
+    notes: tuple[str, ...]
     outcomes: tuple[Outcome, ...]
-
-
-def contenders(settings: Settings, names: Sequence[str]) -> list[Contender]:
-    """Return the controllers of these names.
-
-    Raises:
-        AdpError: There is no such controller.
-
-    """
-    found = []
-    for name in names:
-        if name in ("adp", "adp_cold"):
-            mode = "warm" if name == "adp" else "cold"
-            found.append(Contender(name, settings, PathFollower, mode, _RATE))
-        elif name == "paper":
-            found.append(Contender(name, _paper_laws(settings), PathFollower, "cold", _RATE))
-        elif name in PEERS:
-            peer = PEERS[name]
-            rate = peer.control_rate or _RATE
-            found.append(Contender(name, settings, peer.factory, "frozen", rate))
-        else:
-            raise AdpError(f"unknown controller '{name}': choose from {', '.join(CONTROLLERS)}")
-    return found
-
-
-def _paper_laws(settings: Settings) -> Settings:
-    """Return the paper's learner for the target, cost and limits of other settings."""
-    printed = flatten(load_settings(Settings, "path_follower", config_file("paper.yaml")))
-    task = flatten(settings)
-    groups = {field.name: field.group for field in setting_fields(Settings)}
-    kept = {
-        name: value
-        for name, value in task.items()
-        if groups[name] in ("target", "cost", "limits", "motion")
-    }
-    return build(Settings, {**printed, **kept})
 
 
 def compare(
@@ -194,14 +126,28 @@ def compare(
         faults: How they change with time.
         progress: Called with the fraction that is done.
 
+    Raises:
+        AdpError: There is nothing to compare: no such controller, no start, or a speed that varies
+            along the path, which only some of the controllers know.
+
     """
     chosen = contenders(settings, names)
+    if speed_varies(path, settings):
+        raise AdpError(
+            f"v_des varies along {path_name}, which the optimum and the peers do not know: set "
+            "max_lateral_accel, max_linear_accel, max_linear_decel and max_angular_accel to .inf, "
+            "and desired_speed no higher than the limits of velocity allow in each bend"
+        )
+    known = np.isfinite(starts).all(axis=1)
+    if not known.any():
+        raise AdpError("starts must be finite values s, y, theta, three for each start")
     for item in chosen:  # what cannot run is said before the long work
         item.factory(item.settings, path, np.full(1, start_arc_length))
     parts = len(chosen) + 1
-    optimal, problems = _optima(
+    optima, problems = _optima(
         settings, path, starts, start_arc_length, duration, lambda part: progress(part / parts)
     )
+    optimal = np.array([math.nan if optimum is None else optimum.cost for optimum in optima])
     outcomes = []
     for index, item in enumerate(chosen):
 
@@ -219,8 +165,17 @@ def compare(
             faults=faults,
             controller=item.factory,
         )
-        outcomes.append(_outcome(item, run, path, starts, duration, optimal, advance))
-    return Comparison(path_name, starts, optimal, tuple(problems), tuple(outcomes))
+        lap = _lap(path, start_arc_length, item.settings.target.desired_speed)
+        outcomes.append(_outcome(item, run, path, starts, duration, lap, optimal, advance))
+    notes = _notes(starts, optima, duration)
+    return Comparison(path_name, starts, optimal, tuple(problems), notes, tuple(outcomes))
+
+
+def _lap(path: Path, start_arc_length: float, speed: float) -> float:
+    """Return how long a robot drives [s] for a lap after the transient, or to the path's end."""
+    length = path.length if path.closed else path.length - start_arc_length
+    lap = min(length / speed, _LONGEST_LAP)
+    return _TRANSIENT + lap if path.closed else max(min(length / speed, _TRANSIENT + lap), 1.0)
 
 
 def _optima(
@@ -230,16 +185,37 @@ def _optima(
     start_arc_length: float,
     duration: float,
     progress: Callable[[float], None],
-) -> tuple[FloatArray, list[str]]:
+) -> tuple[list[Optimum | None], list[str]]:
+    """Return the optimum of each start, and why there is none."""
     solver = OptimumSolver(settings, path, start_arc_length, duration)
-    costs, problems = np.full(len(starts), math.nan), []
+    found: list[Optimum | None] = []
+    problems = []
     for index, start in enumerate(starts):
         try:
-            costs[index] = solver.solve(start).cost
+            found.append(solver.solve(start))
         except OptimumError as error:
+            found.append(None)
             problems.append(str(error))
         progress((index + 1) / len(starts))
-    return costs, problems
+    return found, problems
+
+
+def _notes(
+    starts: FloatArray, optima: Sequence[Optimum | None], duration: float
+) -> tuple[str, ...]:
+    """Return what there is to say about the optima that were found."""
+    notes = []
+    for start, optimum in zip(starts, optima, strict=True):
+        if optimum is not None and optimum.has_local_optima:
+            notes.append(f"from {start.tolist()} {optimum.local_optima}")
+    changes = [optimum.horizon_change for optimum in optima if optimum and not optimum.settled]
+    if changes:
+        notes.append(
+            f"J* of {len(changes)} starts is the best over {duration:g} s alone and changes by up "
+            f"to {max(changes):.1e} with half as long again, but controllers look further: give a "
+            "longer --duration"
+        )
+    return tuple(notes)
 
 
 def _outcome(
@@ -248,6 +224,7 @@ def _outcome(
     path: Path,
     starts: FloatArray,
     duration: float,
+    lap: float,
     optimal: FloatArray,
     progress: Callable[[float], None],
 ) -> Outcome:
@@ -259,20 +236,31 @@ def _outcome(
             progress=lambda part: progress(first + 0.5 * part),
         )
 
-    many = run(starts, duration, False, 0.0)
-    lap = min(path.length / item.settings.target.desired_speed, _LONGEST_LAP)
-    single = run(np.array([PAPER_START]), _TRANSIENT + lap, True, 0.5)
+    known = np.isfinite(starts).all(axis=1)
+
+    def of_all(values: FloatArray) -> FloatArray:
+        """Return values of the starts that could be run as values of all, NaN for the others."""
+        every = np.full(len(starts), math.nan)
+        every[known] = values
+        return every
+
+    many = run(starts[known], duration, False, 0.0)
+    single = run(np.array([PAPER_START]), lap, True, 0.5)
     assert single.trajectories is not None  # record=True
     counted = single.trajectories.time >= _TRANSIENT
+    if not path.closed:
+        counted &= single.trajectories.arc_length[0] <= path.length
     off_path = np.abs(many.final_error[:, 1]) > _OFF_PATH
-    failed = many.failed | off_path | ~np.isfinite(many.cost)
+    failed = np.zeros(len(starts), dtype=bool)
+    failed[known] = many.failed | off_path | ~np.isfinite(many.cost)
+    cost = of_all(many.cost)
     return Outcome(
         name=item.name,
-        cost_ratio=np.where(failed, math.nan, many.cost / optimal),
-        cost=many.cost,
+        cost_ratio=np.where(failed, math.nan, cost / optimal),
+        cost=cost,
         failed=failed,
-        settling_time=many.settling_time,
-        effort=many.effort,
+        settling_time=of_all(many.settling_time),
+        effort=of_all(many.effort),
         lap_time=single.trajectories.time[counted],
         cross_track=project(path, single.trajectories.pose[0]).cross_track[counted],
         step_time=single.step_time,

@@ -198,6 +198,9 @@ BAD_INPUT = [
     (["optimum", "--figure", "x.txt"], "figure x.txt must end in .png,"),
     (["optimum", "--figure", "x"], "figure x must end in .png,"),
     (["compare", "--controllers", "adp,pid"], "unknown controller 'pid': choose from adp,"),
+    (["compare", "--controllers", "", "--out", "new"], "unknown controller ''"),
+    (["compare", "--start", "nan", "0", "0", "--out", "new"], "starts must be finite values"),
+    (["compare", "--set", "max_lateral_accel=0.1", "--out", "new"], "v_des varies along lissajous"),
     (["compare", "--out", "full"], "output full holds files already"),
     (["compare", "--starts", "header.csv"], "has no column 's'"),
     (["compare", "--duration", "0"], "horizon 0.0 s"),
@@ -232,6 +235,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, arguments, expected):
     assert len(done.stderr.strip().splitlines()) == 1
     assert done.stdout == ""
     assert (folder / "full" / "file").read_text() == "mine"
+    assert not (folder / "new").exists()
 
 
 @pytest.mark.parametrize(

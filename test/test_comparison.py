@@ -7,12 +7,16 @@ import math
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import adp
 
-from adp_path_follower.comparison import CONTROLLERS, Outcome, compare, contenders
+from adp_path_follower.analysis.comparison_figures import draw_comparison
+from adp_path_follower.comparison import Comparison, Outcome, compare
+from adp_path_follower.contenders import CONTROLLERS, Contender, contenders
 from adp_path_follower.core.controller import ControlOutput, VirtualTarget
 from adp_path_follower.core.path_library import circle, named_path
 from adp_path_follower.core.schema import build
@@ -92,9 +96,7 @@ class Standing:
 def test_the_distance_from_the_path_is_that_to_its_nearest_place(monkeypatch):
     from adp_path_follower import comparison
 
-    item = comparison.Contender(
-        "standing", build(Settings, UNLIMITED), Standing, "frozen", rate=20.0
-    )
+    item = Contender("standing", build(Settings, UNLIMITED), Standing, "frozen", rate=20.0)
     monkeypatch.setattr(comparison, "contenders", lambda settings, names: [item])
     result = compare(
         build(Settings, UNLIMITED), "line", named_path("line"), np.array([[0.0, 2.0, 0.0]]), ["x"]
@@ -153,11 +155,87 @@ def test_the_command_writes_table_numbers_and_figures(tmp_path):
         assert (tmp_path / "out" / name).stat().st_size > 5000
 
 
-def test_the_list_names_every_controller():
+def test_the_list_names_every_controller_even_without_casadi(tmp_path):
+    (tmp_path / "casadi.py").write_text("raise ImportError('not here')\n")
     done = subprocess.run(
         [sys.executable, "-m", "adp_path_follower.cli.main", "compare", "--list"],
         capture_output=True,
         text=True,
         timeout=60,
+        cwd=tmp_path,
     )
     assert [line.split()[0] for line in done.stdout.splitlines()] == list(CONTROLLERS)
+
+
+def test_a_start_that_is_none_does_not_keep_the_others_from_running(tmp_path):
+    starts = ["--start", "nan", "0", "0", "--start", "0.1", "0.1", "0.1"]
+    done = adp(
+        *("compare", "--path", "circle:1.0", *starts, "--controllers", "lqr", "--out", "out"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 1
+    assert "start is [nan, 0.0, 0.0], but must be finite" in done.stderr
+    assert "circle:1.0, 2 starts, J* known of 1" in done.stdout
+    (found,) = json.loads((tmp_path / "out" / "compare.json").read_text())["paths"]
+    (lqr,) = found["controllers"]
+    assert lqr["cost"][0] is None
+    assert lqr["failed"] == [False, False]
+    assert 1.0 < lqr["cost_ratio_max"] < 1.1
+    assert lqr["cost_ratio_max"] * found["optimal_cost"][1] == pytest.approx(lqr["cost"][1])
+
+
+def test_what_there_is_to_say_about_the_optimum_is_below_the_table(tmp_path):
+    done = adp(
+        *("compare", "--unlimited", "--path", "circle:1.0", "--start", "2", "3", "3.1"),
+        *("--duration", "3", "--controllers", "lqr", "--out", "out"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    table = (tmp_path / "out" / "compare.txt").read_text()
+    assert "from [2.0, 3.0, 3.1] the starting guesses led to different local optima" in table
+    assert "J* of 1 starts is the best over 3 s alone" in table
+
+
+def test_a_lap_of_an_open_path_ends_with_the_path():
+    found = compare(
+        build(Settings, UNLIMITED),
+        "line",
+        named_path("line"),
+        STARTS[:1],
+        ["lqr"],
+        duration=5.0,
+        start_arc_length=90.0,
+    )
+    (outcome,) = found.outcomes
+    assert outcome.lap_time[0] == 10.0
+    assert outcome.lap_time[-1] == pytest.approx(20.0, abs=0.5)  # 10 m at 0.5 m/s
+    short = compare(
+        build(Settings, UNLIMITED),
+        "line",
+        named_path("line"),
+        STARTS[:1],
+        ["lqr"],
+        duration=5.0,
+        start_arc_length=98.0,
+    )
+    assert math.isnan(short.outcomes[0].cross_track_max)
+
+
+@pytest.mark.parametrize("optimal", [1.0, math.nan])
+def test_figures_where_every_run_failed_say_so(tmp_path, optimal):
+    lost = Outcome(
+        name="x",
+        cost_ratio=np.full(2, math.nan),
+        cost=np.full(2, math.nan),
+        failed=np.ones(2, dtype=bool),
+        settling_time=np.full(2, math.inf),
+        effort=np.full(2, math.nan),
+        lap_time=np.zeros(0),
+        cross_track=np.zeros(0),
+        step_time=1e-3,
+    )
+    found = Comparison("line", np.zeros((2, 3)), np.full(2, optimal), (), (), (lost,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        files = draw_comparison(found, tmp_path)
+    assert all(file.stat().st_size > 1000 for file in files)

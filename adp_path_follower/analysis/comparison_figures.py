@@ -62,12 +62,24 @@ def _cost(found: Comparison) -> Figure:
                 va="center",
             )
     axes.set_yticks(range(len(ranked)), [outcome.name for outcome in ranked])
-    axes.set_xscale("log")
+    axes.set_ylim(-0.5, len(ranked) - 0.5)  # those of whom nothing is drawn, too
+    _logarithmic(axes, x=any(np.isfinite(outcome.cost_ratio).any() for outcome in ranked))
     axes.set_xlabel("loss J/J* − 1 of each start (bar: median)")
     axes.set_title(
         f"Cost beside the offline optimum, {len(found.starts)} starts, {found.path_name}"
     )
     return figure
+
+
+def _logarithmic(axes: Axes, x: bool = False, y: bool = False) -> None:
+    """Make axes logarithmic that have something to show; say it where there is nothing."""
+    if x:
+        axes.set_xscale("log")
+    if y:
+        axes.set_yscale("log")
+    if not (x or y):
+        text = "no J/J*: no optimum is known, or every run failed"
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center")
 
 
 def _cross_track(found: Comparison) -> Figure:
@@ -76,7 +88,7 @@ def _cross_track(found: Comparison) -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     ranked = sorted(found.outcomes, key=_tracking)
     best = [outcome for outcome in ranked if _tracking(outcome) < 2e-3]
-    others = [outcome for outcome in ranked if _tracking(outcome) >= 2e-3]
+    others = [outcome for outcome in ranked if 2e-3 <= _tracking(outcome) < math.inf]
     for axes, group, unit, factor in (
         (panels[0], best[:6], "mm", 1e3),
         (panels[1], others[:6], "cm", 1e2),
@@ -125,12 +137,13 @@ def _cost_per_step(found: Comparison) -> Figure:
             va="center",
             fontsize=8,
         )
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.margins(x=0.35, y=0.1)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    drawn = any(math.isfinite(outcome.quantile(0.95)) for outcome in ranked)
+    _logarithmic(axes, x=drawn, y=drawn)
+    if drawn:
+        axes.margins(x=0.35, y=0.1)
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("computing time of one control step [ms], this machine")
     axes.set_ylabel("loss J/J* − 1, 95th percentile")
     axes.set_title(f"Cost against computing time, {found.path_name}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -14,15 +15,18 @@ from adp_path_follower.cli.options import (
     FILE,
     collect_starts,
     load_simulator,
-    new_directory,
+    output_directory,
     progress_bar,
     settings_options,
     simulator_options,
     start_options,
     write_json,
 )
-from adp_path_follower.core.files import read_csv_columns
+from adp_path_follower.contenders import CONTROLLERS
+from adp_path_follower.core.files import output_to, read_csv_columns
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings
+from adp_path_follower.core.path import Path as PlanarPath
 from adp_path_follower.core.path_library import PATH_HELP, named_path
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.simulated_robot import without_nodes
@@ -93,14 +97,13 @@ def compare(
 
     Exit code 1 if some start has no known optimum; it is named, and counts in all but J/J*.
     """
-    from adp_path_follower.comparison import CONTROLLERS
-    from adp_path_follower.comparison import compare as run_comparison
-
     if list_them:
         for name, description in CONTROLLERS.items():
             click.echo(f"{name:30} {description}")
         return
-    names = [name.strip() for name in controllers.split(",")] if controllers else list(CONTROLLERS)
+    names = list(CONTROLLERS)
+    if controllers is not None:
+        names = [name.strip() for name in controllers.split(",")]
     changes = (*_UNLIMITED, *assignments) if unlimited else assignments
     settings = load_settings(Settings, "path_follower", params, changes)
     plant, faults = without_nodes(load_simulator(sim_params, sim_assignments))
@@ -108,62 +111,87 @@ def compare(
         errors = collect_starts(starts, starts_file)
     else:
         errors = np.asarray(read_csv_columns(_FORTY_STARTS, ("s", "y", "theta")))
-    paths = {name: named_path(name) for name in path_names or ("lissajous",)}
-    directory = new_directory(
-        directory or Path(datetime.now().strftime("adp_compare_%Y_%m_%d-%H_%M_%S"))
-    )
-    found = []
+    paths = {name: named_path(name, settings.path) for name in path_names or ("lissajous",)}
+    directory = directory or Path(datetime.now().strftime("adp_compare_%Y_%m_%d-%H_%M_%S"))
+    problems = []
+    with output_directory(directory, keep=True):
+        problems = _compare_on(
+            paths,
+            directory,
+            settings=settings,
+            starts=errors,
+            names=names,
+            start_arc_length=start_arc_length,
+            duration=duration,
+            plant=plant,
+            faults=faults,
+        )
+    click.echo(f"In {directory}: compare.txt, compare.json and the figures")
+    sys.exit(1 if problems else 0)
+
+
+def _compare_on(paths: dict[str, PlanarPath], directory: Path, **common: Any) -> list[str]:
+    """Compare on each path, and say and write what was found; return what went wrong."""
+    from adp_path_follower.comparison import compare as run_comparison
+
+    found: list[Comparison] = []
     for name, path in paths.items():
-        with progress_bar(f"{len(names)} controllers on {name}") as progress:
-            found.append(
-                run_comparison(
-                    settings,
-                    name,
-                    path,
-                    errors,
-                    names,
-                    start_arc_length=start_arc_length,
-                    duration=duration,
-                    plant=plant,
-                    faults=faults,
-                    progress=progress,
-                )
-            )
-        click.echo(_table(found[-1]) + "\n")
+        with progress_bar(f"{len(common['names'])} controllers on {name}") as progress:
+            item = run_comparison(path_name=name, path=path, progress=progress, **common)
+        found.append(item)
+        click.echo(_table(item) + "\n")
+        for problem in item.problems:
+            click.echo(f"adp: {problem}", err=True)
         # After each path, so that what was found stays if a later one is interrupted.
         _write(found, directory, directory if len(paths) == 1 else directory / f"path_{len(found)}")
-    click.echo(f"In {directory}: compare.txt, compare.json and the figures")
-    problems = [problem for item in found for problem in item.problems]
-    for problem in problems:
-        click.echo(f"adp: {problem}", err=True)
-    sys.exit(1 if problems else 0)
+    return [problem for item in found for problem in item.problems]
 
 
 def _table(found: Comparison) -> str:
     """Return one path's table, best controllers first."""
+    known = int(np.isfinite(found.optimal_cost).sum())
     lines = [
-        f"{found.path_name}, {len(found.starts)} starts",
+        f"{found.path_name}, {len(found.starts)} starts"
+        + (f", J* known of {known}" if known < len(found.starts) else ""),
         "                                    J/J*                            settled  effort"
         "   cross-track [mm]   per step",
         "controller                     median      p95      max  failed   in [s]  ∫uᵀRu"
         "       RMS      max       [ms]",
     ]
-    for item in sorted(found.outcomes, key=_rank):
-        ratios = "".join(_ratio(item.quantile(share)) for share in (0.5, 0.95, 1.0))
-        settled = float(np.median(item.settling_time))
-        effort = float(np.median(item.effort[~item.failed])) if not item.failed.all() else np.nan
-        lines.append(
-            f"{item.name:29}{ratios}{int(item.failed.sum()):8d}"
-            + (f"{settled:9.2f}" if np.isfinite(settled) else f"{'–':>9}")
-            + f"{effort:8.3f}{1e3 * item.cross_track_rms:10.2f}{1e3 * item.cross_track_max:9.2f}"
-            + f"{1e3 * item.step_time:11.3f}"
-        )
-    return "\n".join(lines)
+    lines += [_line(item) for item in sorted(found.outcomes, key=_rank)]
+    if any(item.failed.any() for item in found.outcomes):
+        lines.append("effort is the median of the runs that did not fail; J/J* counts all")
+    return "\n".join([*lines, *found.notes])
+
+
+def _line(item: Outcome) -> str:
+    """Return the table's line of one controller."""
+    ratios = "".join(_ratio(item.quantile(share)) for share in (0.5, 0.95, 1.0))
+    return (
+        f"{item.name:29}{ratios}{int(item.failed.sum()):8d}"
+        + _number(_median(item.settling_time), 9, 2)
+        + _number(_median(item.effort[~item.failed]), 8, 3)
+        + _number(1e3 * item.cross_track_rms, 10, 2)
+        + _number(1e3 * item.cross_track_max, 9, 2)
+        + f"{1e3 * item.step_time:11.3f}"
+    )
+
+
+def _median(values: FloatArray) -> float:
+    """Return the median of values (N,) but for NaN; NaN if there are no others."""
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if len(known) else math.nan
+
+
+def _number(value: float, width: int, digits: int) -> str:
+    """Return a number of a table, or a dash."""
+    return f"{value:{width}.{digits}f}" if np.isfinite(value) else f"{'–':>{width}}"
 
 
 def _rank(item: Outcome) -> tuple[float, float]:
-    median = item.quantile(0.5)
-    return (median if np.isfinite(median) else np.inf, float(np.nanmedian(item.cost)))
+    """Return by what controllers are sorted: J/J*, then J of the runs that were not lost."""
+    ratio, cost = item.quantile(0.5), _median(item.cost)
+    return (ratio if math.isfinite(ratio) else math.inf, math.inf if math.isnan(cost) else cost)
 
 
 def _ratio(value: float) -> str:
@@ -177,9 +205,10 @@ def _write(found: list[Comparison], directory: Path, figures: Path) -> None:
     from adp_path_follower.analysis.comparison_figures import draw_comparison
 
     text = "\n\n".join(_table(item) for item in found)
-    (directory / "compare.txt").write_text(text + "\n", encoding="utf-8")
-    write_json(directory / "compare.json", {"paths": [_numbers(item) for item in found]})
-    draw_comparison(found[-1], figures)
+    with output_to(directory):
+        (directory / "compare.txt").write_text(text + "\n", encoding="utf-8")
+        write_json(directory / "compare.json", {"paths": [_numbers(item) for item in found]})
+        draw_comparison(found[-1], figures)
 
 
 def _numbers(found: Comparison) -> dict[str, Any]:
@@ -189,6 +218,7 @@ def _numbers(found: Comparison) -> dict[str, Any]:
         "starts": found.starts.tolist(),
         "optimal_cost": found.optimal_cost.tolist(),
         "problems": list(found.problems),
+        "notes": list(found.notes),
         "controllers": [
             {
                 "name": item.name,

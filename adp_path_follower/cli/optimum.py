@@ -184,11 +184,7 @@ def _table(rows: list[_Row], check: bool) -> str:
             line += f"{row.check_cost / found.cost - 1.0:+14.1e}"
         lines.append(line)
         if found.has_local_optima:
-            costs = ", ".join(f"{cost:.6f}" for cost in found.guesses)
-            notes.append(
-                f"from {row.start.tolist()} the starting guesses led to different local optima: "
-                f"{costs}; the best is shown"
-            )
+            notes.append(f"from {row.start.tolist()} {found.local_optima}")
     return "\n".join([*lines, *notes])
 
 

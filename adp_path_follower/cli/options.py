@@ -218,10 +218,14 @@ def new_directory(directory: Path) -> Path:
 
 
 @contextlib.contextmanager
-def output_directory(directory: Path) -> Iterator[Path]:
+def output_directory(directory: Path, keep: bool = False) -> Iterator[Path]:
     """Make an output directory, and take back what the block has written if the block fails.
 
     Half a report is of no use, and the same command again would be refused because of it.
+
+    Args:
+        directory: Where the output goes: a new or empty directory.
+        keep: Whether what was written before is of use; an empty directory never is.
 
     Raises:
         FileError: As `new_directory`, or something in it cannot be written.
@@ -234,7 +238,7 @@ def output_directory(directory: Path) -> Iterator[Path]:
             yield directory
     except BaseException:
         with contextlib.suppress(OSError):
-            for item in directory.iterdir():  # it was empty
+            for item in () if keep else directory.iterdir():  # it was empty
                 shutil.rmtree(item) if item.is_dir() else item.unlink()
             if not was_there:
                 directory.rmdir()

@@ -67,6 +67,12 @@ class Optimum:
         return self.guesses[-1] > self.guesses[0] * (1.0 + 1e-4) + 1e-9
 
     @property
+    def local_optima(self) -> str:
+        """Return what there is to say about starting guesses that led to different motions."""
+        costs = ", ".join(f"{cost:.6g}" for cost in self.guesses)
+        return f"the starting guesses led to different local optima: {costs}; the best counts"
+
+    @property
     def settled(self) -> bool:
         """Return whether nothing is left to win after the horizon."""
         return self.horizon_change <= SETTLED
