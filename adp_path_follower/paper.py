@@ -222,9 +222,7 @@ def _theorem(run: PaperRun, path: Path) -> Theorem:
     residual = np.array(gradient) - np.einsum("mlz,l->mz", basis, ideal)
     residual_norm = np.linalg.norm(residual, axis=1)
     drift = error_dynamics.drift(zeta, path.curvature(arc_length), target)
-    drift_bound = float(
-        (np.linalg.norm(drift[1:], axis=1) / np.linalg.norm(zeta[1:], axis=1)).max()
-    )
+    drift_bound = float((np.linalg.norm(drift, axis=1) / np.linalg.norm(zeta, axis=1)).max())
     critic = found.critic_weights[0]
     actor = found.actor_weights[0]
     apart = ((ideal - critic[steps]) ** 2).sum(axis=1) + ((ideal - actor[steps]) ** 2).sum(axis=1)

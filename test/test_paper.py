@@ -64,6 +64,15 @@ def test_gain_conditions(found):
     assert theorem.residual.max() < 0.2
 
 
+def test_the_drift_is_bounded_at_every_visited_state(found):
+    # f of the printed error dynamics, written out, at the paper's start, where kappa is
+    # that of the figure eight's crossing, 0, and phi = 0.
+    s, y, theta = -0.5, 0.25, -np.pi / 6.0
+    rates = np.array([-0.1 * s, 0.5 * np.sin(theta), 0.0, 0.05 * (0.5 * np.cos(theta) + 0.1 * s)])
+    at_the_start = np.linalg.norm(rates) / np.linalg.norm([s, y, theta])
+    assert found.theorem.drift_bound >= at_the_start * (1.0 - 1e-9)
+
+
 def test_figures(found, tmp_path):
     files = draw_paper(found, tmp_path)
     assert {file.name for file in files} >= {"figure_2_path.png", "lyapunov.png", "long_run.png"}
