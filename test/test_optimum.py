@@ -226,6 +226,15 @@ def test_a_check_that_disagrees_is_said(monkeypatch):
     assert "is 0.5418868 by collocation, but 0.5418976 by costates" in done.stderr
 
 
+def test_a_speed_that_varies_along_the_path_is_mentioned():
+    start = ["--horizon", "20", "--start", "0.1", "0.1", "0.1"]
+    assert "v_des varies along this path" not in adp("optimum", *start).stdout
+    for limit in ("max_lateral_accel=0.1", "max_linear_accel=1.0"):
+        done = adp("optimum", *start, "--set", limit)
+        assert done.returncode == 0, done.stderr
+        assert "v_des varies along this path" in done.stdout
+
+
 def test_the_speed_limit_counts():
     limits = {"max_linear_vel": 1.0, "speed_limit": 0.6}
     optimum = solver(**limits)
