@@ -29,6 +29,7 @@ UNLIMITED = {
     "max_linear_vel": math.inf,
     "max_angular_vel": math.inf,
 }
+CORNER = "x,y\n0,0\n1,0\n2,0\n3,0\n3,1\n3,2\n3,3\n3,8\n"
 PATHS = {"lissajous": "lissajous", "line": "line", "circle0.5": "circle:0.5"}
 PATHS["circle1.0"] = "circle:1.0"
 
@@ -158,6 +159,16 @@ def test_turns_the_shorter_way_round():
         assert extremal.cost == pytest.approx(found.cost, rel=1e-6)
 
 
+def test_where_the_turn_is_limited_in_a_corner_the_costates_agree(tmp_path):
+    corner = tmp_path / "corner.csv"
+    corner.write_text(CORNER)
+    limits = {"min_linear_vel": 0.0, "max_linear_vel": 1.0, "max_angular_vel": 1.5}
+    optimum = solver(str(corner), horizon=15.0, **limits)
+    found = optimum.solve(np.array([0.1, 0.1, 0.1]))
+    assert found.mesh_change < 1e-6
+    assert solve_costates(optimum.problem, found.motion).cost == pytest.approx(found.cost, rel=1e-5)
+
+
 def test_theta_counts_as_the_heading_that_it_is():
     optimum = solver("line", horizon=15.0)
     first, second = (
@@ -168,7 +179,7 @@ def test_theta_counts_as_the_heading_that_it_is():
 
 def test_the_mesh_follows_the_corners_of_a_path(tmp_path):
     corner = tmp_path / "corner.csv"
-    corner.write_text("x,y\n0,0\n1,0\n2,0\n3,0\n3,1\n3,2\n3,3\n3,8\n")
+    corner.write_text(CORNER)
     optimum = solver(str(corner))
     found = optimum.solve(np.array([0.1, 0.1, 0.1]))
     # 640 intervals of the mesh that knows nothing of corners gave 0.070469232.

@@ -18,6 +18,7 @@ from adp_path_follower.core.riccati import riccati_solution
 from adp_path_follower.core.settings import Settings
 
 _MARGIN = 10.0  # [m] of path behind and ahead of what the desired speed covers
+_SPACING = 0.005  # [m] of the curvature's knots: at 2 cm J* was 1e-4 wrong round a corner
 _LONGEST = 2000.0  # [m] of path whose curvature is prepared
 
 
@@ -71,7 +72,7 @@ class Problem:
                 "can be optimised: give a shorter horizon"
             )
         first = start_arc_length - _MARGIN
-        knots = np.arange(first, first + covered, 0.02)
+        knots = np.arange(first, first + covered, _SPACING)
         self._curvature = casadi.interpolant("curvature", "bspline", [knots], path.curvature(knots))
 
     def expressions(self) -> Any:
