@@ -38,7 +38,7 @@ from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile
 
-_RESTS = 3  # while a robot comes to the end of what was ahead of it
+_RESTS = 4  # while a robot comes to the end of what was ahead of it
 
 MODEL_SETTINGS = (  # that decide what is learned
     "basis",

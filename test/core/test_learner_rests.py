@@ -33,7 +33,7 @@ def test_a_learner_that_has_learned_all_ahead_rests_until_the_robot_has_come_on(
     # Rests change nothing: what is learned before one is what would be learned in its place.
     np.testing.assert_allclose(found.weights.critic, expected.weights.critic, rtol=1e-9)
     np.testing.assert_allclose(found.weights.actor, expected.weights.critic, rtol=1e-9)
-    for place in (15.4, 14.0):  # four knots on; back, behind where it began
+    for place in (15.4, 14.0):  # more than three knots on; back, behind where it began
         learner.learn(UNUSED, at(place), 0.01)
         assert len(model.parts) > done
         steps_until_rest(learner, model, place)

@@ -23,6 +23,8 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 
+from adp_path_follower.core import supervisor
+from adp_path_follower.core.odometry_check import OdometryCheck
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.schema import flatten, setting_fields
 from adp_path_follower.core.settings import Settings
@@ -54,11 +56,14 @@ class Spied(PathFollowerNode):
         """Forget what was, and begin a run with these parameters."""
         values = {**flatten(self._settings), **parameters}
         self._forget_run()
-        self._path._receive(serialize_message(PathMessage()))
-        self._path.odometry_in(FRAMES[0])
+        self._supervisor.resume()
+        odometry, path, commands = self._parts.odometry, self._parts.path, self._parts.commands
+        odometry.measurement, odometry._check = None, OdometryCheck()
+        path._receive(serialize_message(PathMessage()))
+        path.odometry_in(FRAMES[0])
         self._supervisor.active = True
         self.commands, self.told = [], None
-        self._commands.send, self._commands.stop = self.sent, self.stopped
+        commands.send, commands.stop = self.sent, self.stopped
         results = self.change({name: values[name] for name in parameters})
         assert all(result.successful for result in results), results
 
@@ -73,7 +78,7 @@ class Spied(PathFollowerNode):
     def stopped(self):
         """Take the robot for one at rest, as it is told to stop."""
         self.told = None
-        type(self._commands).stop(self._commands)
+        type(self._parts.commands).stop(self._parts.commands)
 
     def sent(self, command, time):
         """Look at a command that is to be published, and at the one before."""
@@ -102,20 +107,24 @@ class Spied(PathFollowerNode):
     def take(self, message):
         """Take an odometry message or a path."""
         if isinstance(message, Odometry):
-            self._receive_odometry(serialize_message(message))
+            self.take_bytes(serialize_message(message))
         else:
-            self._path._receive(serialize_message(message))
+            self._parts.path._receive(serialize_message(message))
         self._take_path()
         self._watch()
 
+    def take_bytes(self, raw):
+        """Take what may be an odometry message."""
+        self._parts.odometry._receive(raw)
+
     def _take_path(self):
         """Take what the other thread has made of a path."""
-        intake = self._path._intake
+        intake = self._parts.path._intake
         while intake._request not in (None, self.answered):
             self.answered = intake._request
             while intake._answer is None:
                 time.sleep(0.0005)
-            self._path._take()
+            self._parts.path._take()
 
     @property
     def state(self):
@@ -125,6 +134,7 @@ class Spied(PathFollowerNode):
 
 @pytest.fixture(scope="module")
 def node():
+    supervisor._SETTLED = 0.0  # no time passes here while messages come
     arguments = ["test", "--ros-args", "--log-level", "fatal"]
     for name, value in GIVEN.items():
         arguments += ["-p", f"{name}:={str(value).lower()}"]
@@ -215,12 +225,12 @@ def test_bytes_that_are_no_odometry_stop_the_robot(node, cut, place, value):
     for step in range(3):
         node.take(good_odometry(step))
     raw = bytearray(serialize_message(good_odometry(3)))
-    node._receive_odometry(bytes(raw[: cut % len(raw)]))
+    node.take_bytes(bytes(raw[: cut % len(raw)]))
     assert "odometry cannot be read" in node._shown.cause
     assert not node.commands[-1].any()
     assert is_good_again(node, 3)
     raw[place % len(raw)] = value
-    node._receive_odometry(bytes(raw))
+    node.take_bytes(bytes(raw))
     node._watch()
 
 
@@ -266,9 +276,9 @@ def test_a_path_that_was_refused_for_the_frame_of_the_odometry_is_taken_in_the_r
     wrong = odometry_message(0, np.zeros(3), np.array([0.5, 0.0]), ("map", "base_link"))
     node.take(wrong)
     node.take(LINE)
-    assert "map" in node._path.problem
+    assert "map" in node._parts.path.problem
     assert is_good_again(node, 1)
-    assert not node._path.problem
+    assert not node._parts.path.problem
 
 
 def test_what_is_too_far_or_too_fast_is_told(node):

@@ -42,7 +42,7 @@ def test_nothing_is_made_of_a_step_until_somebody_listens(peer):
     peer.listen(Vector3Stamped, "test_peer/tracking_error")
     with pytest.raises(AttributeError, match="'NoneType' object has no attribute 'error'"):
         peer.until(lambda: cost_arrives() and None, "a message of nothing")
-    telemetry.destroy(peer.node)
+    telemetry.destroy()
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_of_each_period_the_first_step_is_told(peer, rate, expected):
     assert [cost.data for cost in costs if cost.data >= 0.0] == list(expected)
     told = [start + step * PERIOD for step in expected]
     assert [stamp for stamp in stamps(errors) if stamp >= start] == told
-    telemetry.destroy(peer.node)
+    telemetry.destroy()
 
 
 def test_a_controller_tells_of_as_many_steps_as_it_is_told_to(peer, start):
