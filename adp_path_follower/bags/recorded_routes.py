@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 from adp_path_follower.bags.configuration import Configuration, parse_configuration
 from adp_path_follower.bags.raw_messages import transformed
@@ -13,7 +13,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
 from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.route import Route, route_of
-from adp_path_follower.core.schema import build, setting_fields
+from adp_path_follower.core.schema import setting_fields, update
 from adp_path_follower.core.settings import PathSettings, Settings
 
 
@@ -32,9 +32,9 @@ class RecordedRoutes:
     ) -> None:
         """Take a run; the rest is what to prepare its routes with, as in `RecordedDriver`."""
         self._poses = [poses for _, poses in run.paths]
-        self._fixed = None if fixed is None else fixed.path
+        self._fixed, self._overlay = fixed, overlay or {}
         names = {field.name for field in setting_fields(Settings) if field.group == "path"}
-        self._overlay = {name: value for name, value in (overlay or {}).items() if name in names}
+        self._laid = names.intersection(self._overlay)
         self._changes = _configurations(run)
         self._known = _path_settings(self._changes)
         self._prepared: dict[tuple[int, PathSettings, tuple[float, ...]], Route | None] = {}
@@ -75,12 +75,20 @@ class RecordedRoutes:
         key = change.path_digest, change.transform
         if key not in self._found:
             number, prepared, route = self._search(change)
-            values = {**asdict(self._fixed or prepared), **self._overlay}
-            wanted = build(Settings, values).path
+            wanted = self._wanted(change.settings, prepared)
             if wanted != prepared:
                 route = _route(self._poses[number], wanted, change.transform)
             self._found[key] = route
         return self._found[key]
+
+    def _wanted(self, settings: Settings, prepared: PathSettings) -> PathSettings:
+        """Return what to prepare a path with that was prepared before these settings."""
+        if self._fixed is not None:
+            return update(self._fixed, self._overlay).path
+        if not self._laid:
+            return prepared
+        laid = update(settings, self._overlay).path
+        return replace(prepared, **{name: getattr(laid, name) for name in self._laid})
 
     def _search(self, change: Configuration) -> tuple[int, PathSettings, Route]:
         for settings in self._known:

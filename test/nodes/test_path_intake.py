@@ -20,6 +20,7 @@ from rclpy.serialization import serialize_message
 
 from adp_path_follower.analysis.drive import drive_of
 from adp_path_follower.bags.cdr import CdrError
+from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.bags.raw_messages import is_empty, read_path, transformed
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.replay import replay
@@ -283,8 +284,8 @@ def test_a_path_of_another_frame_is_followed_and_replayed(peer, start, domain, t
         process.wait(30.0)
     recorder.stop()
     _, found = replayed(tmp_path / "bag")
-    assert found.transform == (0.2, -0.1, 0.3)
-    start_pose = found.route.segments[0].path.frame(0.0).pose
+    assert parse_configuration(found.configurations[-1][1]).transform == (0.2, -0.1, 0.3)
+    start_pose = found.follower.path.frame(0.0).pose
     np.testing.assert_allclose(start_pose, [0.2, -0.1, 0.3], atol=1e-6)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from itertools import groupby
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -149,9 +150,11 @@ def test_a_run_by_timer_replays_through_all_that_changes(peer, start, tmp_path, 
     run = read_run(tmp_path / "bag")
     assert len(run.paths) == 2
     changes = [parse_configuration(text) for _, text in run.configurations]
-    assert [change.learning_resets for change in changes] == [0, 0, 0, 1, 1]
-    assert [change.stops for change in changes] == [0, 0, 0, 0, 1]  # the last words
-    assert [change.values["desired_speed"] for change in changes] == [0.5, *[0.4] * 4]
+    # The last words are a stop; a busy machine may add some, each with a configuration.
+    assert len(changes) == 4 + changes[-1].stops > 4
+    assert [key for key, _ in groupby(change.learning_resets for change in changes)] == [0, 1]
+    speeds = [change.values["desired_speed"] for change in changes]
+    assert [key for key, _ in groupby(speeds)] == [0.5, 0.4]
     found = replay(run)
     assert found.answered.sum() > 200
     assert found.identical[found.answered].all()
