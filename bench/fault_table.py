@@ -32,7 +32,7 @@ FAULTS = {
     ),
     "the odometry source dies (timeout 0.5 s)": (
         "kill -9 of the simulator",
-        AGAIN,
+        "waits for ~/resume where it begins anew",
         "the_robot_stops_when_odometry_stalls",
     ),
     "/clock stands still (timeout 0.5 s)": (

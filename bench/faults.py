@@ -43,6 +43,7 @@ from test_safety import HANGING_CONTROLLER, SimulatedTime
 from adp_path_follower.nodes.processes import own_domain
 
 NAN, INFINITE = float("nan"), float("inf")
+ELSEWHERE = "from where it was"  # of odometry that has begun anew
 _DEACTIVATE = Transition.TRANSITION_DEACTIVATE
 ODOMETRY = {
     "odometry is not a number": {"x": NAN},
@@ -222,7 +223,18 @@ def processes(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
             return bool(team.truth) and team.truth[-1].twist.twist.linear.x == 0.0
 
         def new_simulator() -> None:
+            told, seen = team.controller.output().count(ELSEWHERE), len(team.commands)
             team.simulator = start("sim_unicycle", theta=1.249)
+
+            def is_elsewhere() -> bool:
+                return team.controller.output().count(ELSEWHERE) > told
+
+            peer.until(
+                lambda: is_elsewhere() or not all(map(is_zero, team.commands[seen:])),
+                "its odometry",
+            )
+            if is_elsewhere():
+                peer.call(Trigger, "path_follower/resume")
 
         def new_controller() -> None:
             team.controller = start("controller")

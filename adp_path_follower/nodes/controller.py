@@ -64,7 +64,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
         self._clock_time = 0
-        self._shown = Status(State.INACTIVE)
+        self._shown = self._told = Status(State.INACTIVE)
+        self._told_until = 0.0
         self._shown_since = 0
         self._next_diagnostics = 0.0
         self._supervisor = self._supervisor.renewed()
@@ -333,25 +334,32 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Return the status; tell the robot to stop, and the user, as soon as it changes."""
         now = steady.monotonic()
         status = self._supervisor.status(now)
-        if status == self._shown:
-            return status
+        if status != self._shown:
+            self._change_status(status)
+        same_state = status.state is self._told.state
+        # A cause that changes with every message is told once a second.
+        if status != self._told and (not same_state or now >= self._told_until):
+            self._told, self._told_until = status, now + 1.0
+            self._tell_status(status)
+        return status
+
+    def _change_status(self, status: Status) -> None:
         if self._parts is not None:
             self._parts.watchdog.hurry()
         if self._shown.state is State.FOLLOWING and self._supervisor.active:
             self._configured.commands.stop()
             self._note_stop()
-        same_state, self._shown = status.state is self._shown.state, status
-        if same_state and now < self._next_diagnostics:
-            return status  # a cause that changes with every message is no news with each
-        if not same_state:
+        if status.state is not self._shown.state:
             self._shown_since = self._now()
+        self._shown = status
+
+    def _tell_status(self, status: Status) -> None:
         text = ": ".join(filter(None, [status.state.value, status.cause]))
         if status.state is State.FAULT:
             self.get_logger().error(f"{text}; {status.remedy}")
         else:
             self.get_logger().info(text)
         self._publish_diagnostics()
-        return status
 
     def _note_stop(self) -> None:
         """Remember that the robot was told to stop: its next command begins at rest."""

@@ -56,6 +56,8 @@ def test_a_robot_that_is_elsewhere_after_a_silence_waits_for_resume(drive):
     drive.odometry = {"x": 50.0}
     drive.until_diagnosed("50.00 m from where it was")
     assert stands(drive)
+    # The log says it, too, although the fault was there before, with another cause.
+    drive.peer.until(lambda: "50.00 m from where it was" in drive.controller.output(), "the log")
     assert drive.peer.call(Trigger, "path_follower/resume").message == "following"
     drive.until_moving()
 
