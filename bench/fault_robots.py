@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "nodes"))
 
 # What the tests have for nodes, and a peer on their domain.
-from conftest import Drive, Peer  # after the path
+from conftest import Drive, Peer, is_zero  # after the path
+from geometry_msgs.msg import TwistStamped
 from test_other_processes import launched
 
 from adp_path_follower.nodes.processes import NodeProcess
@@ -112,3 +114,34 @@ class Alternating:
         self._drive.peer.send_odometry(
             (0.0, 0.1, 0.0), **({"x": float("nan")} if self._wrong else {})
         )
+
+
+def from_last_motion(peer: Peer, inject: Callable[[Peer], None] | None = None) -> float:
+    """Return the time from the last command to move until zero velocity [s].
+
+    A defect that does not come by itself is injected after some motion.
+    """
+    last = time.monotonic()
+    stopped = 0.0
+
+    def take(command: TwistStamped) -> None:
+        nonlocal last, stopped
+        if not is_zero(command):
+            last = time.monotonic()
+        elif moved():
+            stopped = stopped or time.monotonic()
+
+    begun = last
+
+    def moved() -> bool:
+        return last > begun
+
+    peer.node.create_subscription(TwistStamped, "cmd_vel", take, 100)
+    peer.send_path()
+    peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+    if inject is not None:
+        peer.until(moved, "motion")
+        peer.spin(0.5)
+        inject(peer)
+    peer.until(lambda: stopped, "zero velocity")
+    return stopped - last

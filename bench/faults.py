@@ -23,7 +23,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from fault_robots import Alternating, Bench  # before the next, which it makes known
+from fault_robots import (  # before the next, which it makes known
+    Alternating,
+    Bench,
+    from_last_motion,
+)
 from fault_table import GROUPS, table
 
 # isort: split
@@ -320,45 +324,14 @@ def final(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
         times = []
         for _ in range(runs if bench.wanted(name) else 0):
             with bench.defective(code) as peer:
-                times.append(_from_last_motion(peer))
+                times.append(from_last_motion(peer))
         yield name, times
     name, times = "a transition that fails", []
     code = DEFECTIVE_TRANSITION.format(owner="Telemetry", name="deliver_status")
     for _ in range(runs if bench.wanted(name) else 0):
         with bench.defective(code) as peer:
-            times.append(_from_last_motion(peer, lambda to: _transition(to, _DEACTIVATE)))
+            times.append(from_last_motion(peer, lambda to: _transition(to, _DEACTIVATE)))
     yield name, times
-
-
-def _from_last_motion(peer: Peer, inject: Callable[[Peer], None] | None = None) -> float:
-    """Return the time from the last command to move until zero velocity [s].
-
-    A defect that does not come by itself is injected after some motion.
-    """
-    last = time.monotonic()
-    stopped = 0.0
-
-    def take(command: TwistStamped) -> None:
-        nonlocal last, stopped
-        if not is_zero(command):
-            last = time.monotonic()
-        elif moved():
-            stopped = stopped or time.monotonic()
-
-    begun = last
-
-    def moved() -> bool:
-        return last > begun
-
-    peer.node.create_subscription(TwistStamped, "cmd_vel", take, 100)
-    peer.send_path()
-    peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
-    if inject is not None:
-        peer.until(moved, "motion")
-        peer.spin(0.5)
-        inject(peer)
-    peer.until(lambda: stopped, "zero velocity")
-    return stopped - last
 
 
 def main() -> None:
