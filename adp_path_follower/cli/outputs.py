@@ -40,4 +40,5 @@ def write_npz(file: Path, arrays: dict[str, Any]) -> None:
     content = io.BytesIO()  # a zip file that cannot be finished complains once more at its end
     np.savez_compressed(content, **arrays)
     with output_to(file):
-        file.write_bytes(content.getbuffer())
+        # Not getbuffer(): Python 3.12.1 crashes when an exception's traceback holds on to one.
+        file.write_bytes(content.getvalue())
