@@ -154,7 +154,9 @@ def test_approach_is_the_riccati_law_for_small_errors(direction, scale):
     chosen = tuning("approach", **values)
     p = riccati_solution(0.0, chosen.target, chosen.cost)
     s, y, theta = error
-    expected = [-p[0, 0] * s / 2.0, -(p[1, 2] * y + p[2, 2] * theta) / 0.5]
+    # A robot that does not face along the path moves towards it by driving: of second order.
+    driving = p[0, 0] * s + p[1, 1] * y * theta
+    expected = [-driving / 2.0, -(p[1, 2] * y + p[2, 2] * theta) / 0.5]
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
 
 
