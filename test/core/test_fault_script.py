@@ -30,11 +30,8 @@ def script_of(folder, *entries):
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
 def test_shipped_scripts_can_be_read_and_say_what_the_robot_should_do(file):
-    script = read_fault_script(file.stem)
-    changed = {
-        script.settings_at(SimulatorSettings(), 0.01 * step) != SimulatorSettings()
-        for step in range(4000)
-    }
+    script, settings = read_fault_script(file.stem), SimulatorSettings()
+    changed = {script.settings_at(settings, 0.01 * step) != settings for step in range(4000)}
     assert changed == {True} or changed == {True, False}
     text = file.read_text()
     assert text.startswith(("# Stops", "# Drives"))
