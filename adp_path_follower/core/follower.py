@@ -20,7 +20,7 @@ from adp_path_follower.core.goal import Goal
 from adp_path_follower.core.learner import Evidence, Learner, LocalWeights, Weights
 from adp_path_follower.core.path import Path, PathFrame
 from adp_path_follower.core.path_state_learner import PathStateLearner
-from adp_path_follower.core.policy import descending_input, saturate
+from adp_path_follower.core.policy import descending_input, saturate, within
 from adp_path_follower.core.riccati import RiccatiSchedule
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile, SpeedReference
@@ -267,7 +267,8 @@ class PathFollower:
             applied = applied + doubt[..., None] * (safe - applied)
         if self._wide_region is not None:
             applied = self._wide_region.blend(applied, here.zeta, here.curvature, here.feedforward)
-        wanted = applied + here.feedforward
+        # Once more, for blending and adding have rounded: -6e-17 is driving backwards.
+        wanted = within(applied + here.feedforward, self.settings.limits)
         command = self._actuation.limited(wanted, self.settings, elapsed)
         if command is not wanted and (command != wanted).any():
             applied = command - here.feedforward

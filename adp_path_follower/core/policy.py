@@ -38,11 +38,14 @@ def saturate(
     """
     if limits.unlimited:
         return modified_input
-    if modified_input.ndim > 1 or feedforward.ndim > 1:
-        command = modified_input + feedforward
-        command = np.minimum(np.maximum(command, limits.lower), limits.upper)
-        return np.asarray(command - feedforward)
-    (v_e, w_e), (v_ss, w_ss) = numbers(modified_input), numbers(feedforward)
-    lowest, highest = limits.lower.tolist(), limits.upper.tolist()
-    v, w = clamped(v_e + v_ss, lowest[0], highest[0]), clamped(w_e + w_ss, lowest[1], highest[1])
-    return components(v - v_ss, w - w_ss)
+    return np.asarray(within(modified_input + feedforward, limits) - feedforward)
+
+
+def within(command: FloatArray, limits: LimitSettings) -> FloatArray:
+    """Return the command [v, w] that is nearest within the limits, shape (..., 2)."""
+    if limits.unlimited:
+        return command
+    if command.ndim > 1:
+        return np.asarray(np.minimum(np.maximum(command, limits.lower), limits.upper))
+    (v, w), lowest, highest = numbers(command), limits.lower.tolist(), limits.upper.tolist()
+    return components(clamped(v, lowest[0], highest[0]), clamped(w, lowest[1], highest[1]))

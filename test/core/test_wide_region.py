@@ -188,6 +188,16 @@ def test_the_riccati_policy_would_wait_for_ever_where_approach_goes_on():
     assert np.abs(commands["approach"]).max() > 0.5
 
 
+def test_no_command_is_beyond_a_limit_not_even_by_rounding():
+    path, chosen = named_path("lissajous"), build(Settings, {"min_linear_vel": 0.0})
+    follower, limits = PathFollower(chosen, path, 10.0), chosen.limits
+    for error in np.random.default_rng(1).uniform(-3.0, 3.0, (2000, 3)):
+        pose = pose_in_frame(error, path.frame(follower.arc_length).pose)
+        command = follower.step(pose, 0.01).command
+        assert (limits.lower <= command).all(), command
+        assert (command <= limits.upper).all(), command
+
+
 @pytest.mark.parametrize("name", ["line", "circle:0.5", "lissajous"])
 def test_a_robot_without_reverse_arrives_from_anywhere(name):
     starts = np.random.default_rng(2024).uniform(-1.0, 1.0, (60, 3)) * [5.0, 5.0, math.pi]
