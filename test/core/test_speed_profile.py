@@ -62,7 +62,8 @@ def test_the_end_of_a_line_is_braked_to_from_the_braking_distance(speed, decel, 
     # 20 mm nodes: the last whole one before the braking distance is already below the speed.
     expected = min(speed, math.sqrt(2.0 * SHARE * decel * left))
     assert found == pytest.approx(expected, rel=1e-9) or found == pytest.approx(expected, abs=0.05)
-    assert found <= expected + 1e-9
+    # Places near 100 m are rounded to 1e-14 m, which the root makes a speed of 4e-7 m/s.
+    assert found <= expected + 1e-6
 
 
 @pytest.mark.parametrize(
