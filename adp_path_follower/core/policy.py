@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray, clamped, components, numbers
@@ -38,7 +40,11 @@ def saturate(
     """
     if limits.unlimited:
         return modified_input
-    return np.asarray(within(modified_input + feedforward, limits) - feedforward)
+    if modified_input.ndim > 1 or feedforward.ndim > 1:
+        return np.asarray(within(modified_input + feedforward, limits) - feedforward)
+    (v_e, w_e), (v_ss, w_ss) = numbers(modified_input), numbers(feedforward)
+    v, w = _clamped(v_e + v_ss, w_e + w_ss, limits)
+    return components(v - v_ss, w - w_ss)
 
 
 def within(command: FloatArray, limits: LimitSettings) -> FloatArray:
@@ -47,5 +53,11 @@ def within(command: FloatArray, limits: LimitSettings) -> FloatArray:
         return command
     if command.ndim > 1:
         return np.asarray(np.minimum(np.maximum(command, limits.lower), limits.upper))
-    (v, w), lowest, highest = numbers(command), limits.lower.tolist(), limits.upper.tolist()
-    return components(clamped(v, lowest[0], highest[0]), clamped(w, lowest[1], highest[1]))
+    v, w = numbers(command)
+    return components(*_clamped(v, w, limits))
+
+
+def _clamped(v: Any, w: Any, limits: LimitSettings) -> tuple[Any, Any]:
+    """Return one robot's v and w within the limits."""
+    lowest, highest = limits.lower.tolist(), limits.upper.tolist()
+    return clamped(v, lowest[0], highest[0]), clamped(w, lowest[1], highest[1])

@@ -15,8 +15,7 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.polynomial import polynomial
-from scipy.interpolate import BarycentricInterpolator
+from scipy.interpolate import BarycentricInterpolator, KroghInterpolator
 
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
@@ -316,14 +315,9 @@ class _Mesh:
         index = np.arange(len(steps))[:, None] * _DEGREE + np.arange(_DEGREE + 1)
         states = np.swapaxes(motion.state[index], 0, 1)  # (points, N, 4)
         inputs = np.swapaxes(motion.modified_input[index[:, 1:]], 0, 1)
-        # Coefficients of the polynomial through the nodes: scipy 1.11 has no derivative of it.
-        coefficients = np.linalg.solve(
-            np.vander(nodes, increasing=True), states.reshape(len(nodes), -1)
-        )
-        state, slope = (
-            polynomial.polyval(between, found).T.reshape(len(between), *states.shape[1:])
-            for found in (coefficients, polynomial.polyder(coefficients))
-        )
+        # Krogh's, for scipy 1.11 has no derivative of a barycentric one.
+        curve = KroghInterpolator(nodes, states)
+        state, slope = curve(between), curve.derivative(between)
         input_ = BarycentricInterpolator(self._points, inputs)(between)
         rate, *_ = self._expressions.map(state.shape[0] * state.shape[1])(
             state.reshape(-1, 4).T, input_.reshape(-1, 2).T

@@ -59,11 +59,14 @@ def test_the_end_of_a_line_is_braked_to_from_the_braking_distance(speed, decel, 
     profile = profile_of(LINE, desired_speed=speed, max_linear_vel=5.0, max_linear_decel=decel)
     assert profile.stops
     found = float(profile.speed(np.asarray(LINE.length - left)))
-    # 20 mm nodes: the last whole one before the braking distance is already below the speed.
-    expected = min(speed, math.sqrt(2.0 * SHARE * decel * left))
-    assert found == pytest.approx(expected, rel=1e-9) or found == pytest.approx(expected, abs=0.05)
-    # Places near 100 m are rounded to 1e-14 m, which the root makes a speed of 4e-7 m/s.
-    assert found <= expected + 1e-6
+
+    def braked(left):
+        return np.minimum(speed**2, 2.0 * SHARE * decel * left)
+
+    # Squares, for a place near 100 m is rounded to 1e-14 m, of which the root makes 4e-7 m/s.
+    assert found**2 <= braked(left) + 1e-12
+    nodes = np.linspace(0.0, LINE.length, round(LINE.length / 0.02) + 1)
+    assert found**2 == pytest.approx(np.interp(left, nodes, braked(nodes)), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,7 @@ class SimulatedTime:
 
 def test_a_clock_that_does_not_start_stands_still_or_jumps_back(peer, start):
     commands = peer.listen(TwistStamped, "cmd_vel")
+    # The timeout is longer than setting the clock back takes, so that silence is not the fault.
     node = start("controller", use_sim_time=True, odom_timeout=2.0)
     peer.until(lambda: "waiting: no time on /clock" in node.output(), "the wait for the clock")
     peer.send_path()
