@@ -76,10 +76,10 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "controller = adp_path_follower.nodes.entry:controller",
-            "path_publisher = adp_path_follower.nodes.entry:path_publisher",
-            "recorder = adp_path_follower.nodes.entry:recorder",
-            "sim_unicycle = adp_path_follower.nodes.entry:sim_unicycle",
+            "controller = adp_path_follower.ros.runtime.entry:controller",
+            "path_publisher = adp_path_follower.ros.runtime.entry:path_publisher",
+            "recorder = adp_path_follower.ros.runtime.entry:recorder",
+            "sim_unicycle = adp_path_follower.ros.runtime.entry:sim_unicycle",
             "adp = adp_path_follower.cli.main:main",
         ],
     },

@@ -31,6 +31,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "nodes"))
 
 # What the tests have for nodes and a peer on their domain.
+from adp_path_follower.ros.processes import NodeProcess, own_domain
 from conftest import Peer, is_zero  # after the path
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
@@ -45,8 +46,7 @@ from visualization_msgs.msg import MarkerArray
 
 from adp_path_follower.core.path import Path as FollowedPath
 from adp_path_follower.core.path_library import named_path
-from adp_path_follower.nodes.conversions import poses_message
-from adp_path_follower.nodes.processes import NodeProcess, own_domain
+from adp_path_follower.ros.runtime.conversions import poses_message
 
 WARM_UP = 5.0  # [min] after which memory must not grow any more
 _WINDOW = 60.0  # [s] of simulated time over which memory is averaged at either end

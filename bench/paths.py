@@ -24,7 +24,7 @@ from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings, Settings
-from adp_path_follower.nodes.path_fitting import Fit, FittingProcess, route_of_message
+from adp_path_follower.ros.controller.path_process import Fit, FittingProcess, route_of_message
 
 _PERIOD = 0.01  # [s]
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from nav_msgs.msg import Odometry
 
-from adp_path_follower.nodes.conversions import NANOSECONDS, odometry_message
+from adp_path_follower.ros.runtime.conversions import NANOSECONDS, odometry_message
 from sim_unicycle.odometry import Reading
 from sim_unicycle.settings import SimulatorSettings
 

@@ -18,10 +18,14 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.nodes.conversions import NANOSECONDS, odometry_message, stamp_nanoseconds
-from adp_path_follower.nodes.delivery import EVERY_STEP, LOSSLESS
-from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
-from adp_path_follower.nodes.run import Ending, run_node
+from adp_path_follower.ros.runtime.conversions import (
+    NANOSECONDS,
+    odometry_message,
+    stamp_nanoseconds,
+)
+from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
+from adp_path_follower.ros.runtime.qos import EVERY_STEP, LOSSLESS
+from adp_path_follower.ros.runtime.run import Ending, run_node
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.faulty_messages import odometry_of, published_time
 from sim_unicycle.settings import SimulatorSettings

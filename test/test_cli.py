@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from commands import adp
 
 from adp_path_follower.cli import main
-from adp_path_follower.nodes import entry
+from adp_path_follower.ros import entry
 
 OPTIMUM = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
 PAPER = str(Path(__file__).parents[1] / "config" / "paper.yaml")

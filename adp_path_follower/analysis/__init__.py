@@ -1,1 +1,5 @@
-"""Figures and numbers of runs."""
+"""A recorded run: its numbers, its events and its page.
+
+May import `study`, `drawing`, `bags`, `messages` and `core`.
+Never imports rclpy.
+"""

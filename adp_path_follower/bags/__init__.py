@@ -1,1 +1,5 @@
-"""Recording and reading rosbag2 bags."""
+"""Writes and reads bags.
+
+May import `messages` and `core`.
+Never imports rclpy.
+"""

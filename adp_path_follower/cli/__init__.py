@@ -1,1 +1,5 @@
-"""The `adp` command."""
+"""The `adp` command: options, outputs and exit codes.
+
+May import every room.
+Never does mathematics.
+"""

@@ -105,7 +105,7 @@ def _run(
     directory: Path,
 ) -> Path:
     """Run the nodes with a progress bar and return the bag."""
-    from adp_path_follower.nodes.closed_loop import Progress, run_closed_loop
+    from adp_path_follower.ros.closed_loop import Progress, run_closed_loop
 
     text = {"": "starting the nodes"}
     shown = 0.0

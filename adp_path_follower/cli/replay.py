@@ -164,7 +164,7 @@ def _wanted(
 
 def _republish(bag: Path, run: Run, rate: float) -> None:
     try:
-        from adp_path_follower.nodes.republisher import republish
+        from adp_path_follower.ros.republisher import republish
     except ImportError:
         raise AdpError(
             "ROS 2 is missing: source a Jazzy installation, or install its wheels with: "

@@ -1,1 +1,1 @@
-"""ROS 2 nodes: thin, no mathematics."""
+"""TODO."""

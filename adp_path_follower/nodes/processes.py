@@ -71,7 +71,13 @@ class NodeProcess:
             "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         }
-        command = [sys.executable, "-m", "adp_path_follower.nodes.entry", executable, "--ros-args"]
+        command = [
+            sys.executable,
+            "-m",
+            "adp_path_follower.ros.runtime.entry",
+            executable,
+            "--ros-args",
+        ]
         for name, value in parameters.items():
             command += ["-p", f"{name}:={yaml_text(value)}"]
         with log.open("wb") as output:

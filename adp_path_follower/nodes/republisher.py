@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.nodes.conversions import stamp_nanoseconds
+from adp_path_follower.ros.runtime.conversions import stamp_nanoseconds
 
 _PATIENCE = 30.0  # [s] for a controller to appear
 _NANOSECONDS = 1_000_000_000

@@ -94,7 +94,7 @@ def test_the_core_imports_only_itself_and_numbers(file):
 
 @pytest.mark.parametrize("layer", ["bags", "analysis", "simulation", "sweeping"])
 def test_middle_layers_import_no_nodes_and_no_command_line(layer):
-    above = ("adp_path_follower.nodes", "adp_path_follower.cli", "sim_unicycle.node", "rclpy")
+    above = ("adp_path_follower.ros", "adp_path_follower.cli", "sim_unicycle.node", "rclpy")
     for file in PRODUCT:
         if module_name(file).startswith(f"adp_path_follower.{layer}"):
             reached = {name for name in imported(file) if name.startswith(above)}

@@ -17,6 +17,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 import numpy as np
 import rclpy
+from adp_path_follower.ros.processes import NodeProcess, own_domain
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
@@ -25,8 +26,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from adp_path_follower.core.path_library import named_path
-from adp_path_follower.nodes.conversions import odometry_message, poses_message
-from adp_path_follower.nodes.processes import NodeProcess, own_domain
+from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
 
 TIMEOUT = 30.0  # [s] for anything that must happen; a loaded machine is slow, not wrong
 _FIRST_ANSWER_TIMEOUT = 8.0  # [s] after which a service is called again

@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 import rclpy
+from adp_path_follower.ros.processes import own_domain
 from any_messages import PERIOD, odometry, paths
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -28,9 +29,8 @@ from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.schema import flatten, setting_fields
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State
-from adp_path_follower.nodes.controller import PathFollowerNode
-from adp_path_follower.nodes.conversions import odometry_message, poses_message
-from adp_path_follower.nodes.processes import own_domain
+from adp_path_follower.ros.controller.node import PathFollowerNode
+from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
 
 FRAMES = ("odom", "base_link")
 # A small learner, as it is not what is tried here; and no clock, so that any stamp may come.

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower.core.schema import setting_fields
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.nodes.parameters import descriptor
+from adp_path_follower.ros.runtime.parameters import descriptor
 
 pytestmark = pytest.mark.nodes
 
@@ -131,7 +131,7 @@ def test_bad_odometry_stops_the_robot_until_it_is_good_again(drive, broken, caus
 
 def _broken_path(kind: str) -> PathMessage:
     from adp_path_follower.core.path_library import named_path
-    from adp_path_follower.nodes.conversions import poses_message
+    from adp_path_follower.ros.runtime.conversions import poses_message
 
     message = poses_message(named_path("circle:1.0").points(0.1), "odom", 0)
     if kind == "one point":
@@ -276,7 +276,7 @@ def test_descriptors_come_from_the_settings():
 BROKEN_CONTROLLER = """
 import sys
 from adp_path_follower.core.follower import PathFollower
-from adp_path_follower.nodes import controller_process
+from adp_path_follower.ros import controller_process
 
 step_at, steps = PathFollower.step_at, []
 

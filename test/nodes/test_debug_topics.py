@@ -12,8 +12,8 @@ from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.path_library import named_path
 from adp_path_follower.core.schema import build
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.nodes.conversions import stamp_nanoseconds
-from adp_path_follower.nodes.telemetry import Telemetry
+from adp_path_follower.ros.controller.telemetry import Telemetry
+from adp_path_follower.ros.runtime.conversions import stamp_nanoseconds
 
 PERIOD = 10_000_000  # [ns]
 

@@ -14,7 +14,7 @@ from rclpy.task import Future
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from adp_path_follower.nodes.executor import DirectExecutor
+from adp_path_follower.ros.runtime.executor import DirectExecutor
 
 pytestmark = pytest.mark.nodes
 

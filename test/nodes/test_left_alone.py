@@ -15,7 +15,7 @@ from rcl_interfaces.srv import SetParameters
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from adp_path_follower.nodes.conversions import stamp_nanoseconds
+from adp_path_follower.ros.runtime.conversions import stamp_nanoseconds
 
 pytestmark = pytest.mark.nodes
 
@@ -149,9 +149,9 @@ def test_a_stop_of_an_inactive_controller_says_nothing(drive):
 
 DEFECTIVE_TRANSITION = """
 import sys
-from adp_path_follower.nodes import controller_process
-from adp_path_follower.nodes.commands import Commands
-from adp_path_follower.nodes.telemetry import Telemetry
+from adp_path_follower.ros import controller_process
+from adp_path_follower.ros.controller.commands import Commands
+from adp_path_follower.ros.controller.telemetry import Telemetry
 
 def fail(*arguments):
     raise RuntimeError("a defect")
@@ -188,7 +188,7 @@ def test_a_transition_that_fails_stops_the_robot_and_ends_the_node(
 TALKATIVE = """
 import rclpy
 from rclpy.logging import get_logger
-from adp_path_follower.nodes.log_output import unblocked_stderr
+from adp_path_follower.ros.runtime.log_output import unblocked_stderr
 
 with unblocked_stderr():
     rclpy.init()

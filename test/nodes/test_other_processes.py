@@ -127,7 +127,7 @@ node = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL)
 print(node.pid, flush=True)
 time.sleep(1000.0)
 """
-CONTROLLER = [sys.executable, "-m", "adp_path_follower.nodes.entry", "controller"]
+CONTROLLER = [sys.executable, "-m", "adp_path_follower.ros.runtime.entry", "controller"]
 
 
 @contextlib.contextmanager

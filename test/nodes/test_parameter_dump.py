@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.nodes.delivery import ALL_CHANGES
+from adp_path_follower.ros.runtime.qos import ALL_CHANGES
 
 pytestmark = pytest.mark.nodes
 

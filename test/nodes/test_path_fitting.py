@@ -19,9 +19,9 @@ from adp_path_follower.bags.cdr import CdrError
 from adp_path_follower.core.errors import AdpError, PathError
 from adp_path_follower.core.path_library import circle, lissajous
 from adp_path_follower.core.settings import PathSettings
-from adp_path_follower.nodes import path_fitting
-from adp_path_follower.nodes.conversions import poses_message
-from adp_path_follower.nodes.path_fitting import FittingProcess, reason, route_of_message
+from adp_path_follower.ros import path_fitting
+from adp_path_follower.ros.controller.path_process import FittingProcess, reason, route_of_message
+from adp_path_follower.ros.runtime.conversions import poses_message
 
 EIGHT = serialize_message(poses_message(lissajous().points(0.05), "odom", 0))
 CIRCLE = serialize_message(poses_message(circle(1.0).points(0.05), "odom", 0))
@@ -145,8 +145,8 @@ def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd):
 
 ENDING_BEFORE_ITS_PATH = """
 import sys, threading, time
-from adp_path_follower.nodes import controller_process, path_fitting
-from adp_path_follower.nodes.controller import PathFollowerNode
+from adp_path_follower.ros import controller_process, path_fitting
+from adp_path_follower.ros.controller.node import PathFollowerNode
 
 gone = threading.Event()
 route, destroy = path_fitting.FittingProcess.route, PathFollowerNode.destroy_node
@@ -239,7 +239,7 @@ def test_a_process_that_is_stopped_hinders_neither_a_cleanup_nor_the_end(drive):
 
 LITTLE_PATIENCE = """
 import sys
-from adp_path_follower.nodes import controller_process, path_fitting
+from adp_path_follower.ros import controller_process, path_fitting
 
 answer = path_fitting.FittingProcess._answer
 

@@ -25,10 +25,10 @@ from adp_path_follower.bags.raw_messages import is_empty, read_path, transformed
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.replay import replay
 from adp_path_follower.core.settings import PathSettings
-from adp_path_follower.nodes.conversions import quaternion_of
-from adp_path_follower.nodes.frames import FrameError, frame_transform
-from adp_path_follower.nodes.path_fitting import route_of_message
-from adp_path_follower.nodes.path_intake import PathIntake, PathRequest, answer
+from adp_path_follower.ros.controller.path_process import route_of_message
+from adp_path_follower.ros.controller.path_worker import PathIntake, PathRequest, answer
+from adp_path_follower.ros.runtime.conversions import quaternion_of
+from adp_path_follower.ros.runtime.frames import FrameError, frame_transform
 
 LINE = np.stack([np.linspace(0.0, 4.0, 41), np.zeros(41), np.zeros(41)], axis=1)
 
@@ -235,7 +235,7 @@ def test_a_transform_that_comes_late_is_asked_for_again():
 
 WITH_FRAMES = """
 import sys
-from adp_path_follower.nodes import controller_process, path_input
+from adp_path_follower.ros import controller_process, path_input
 
 
 class Known:

@@ -11,6 +11,8 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from adp_path_follower.ros.closed_loop import run_closed_loop
+from adp_path_follower.ros.republisher import recorded_messages
 from bag_messages import odometry, path_message, raw
 from commands import adp
 from geometry_msgs.msg import Twist, TwistStamped
@@ -26,9 +28,7 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path_library import lissajous
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.nodes import republisher
-from adp_path_follower.nodes.closed_loop import run_closed_loop
-from adp_path_follower.nodes.republisher import recorded_messages
+from adp_path_follower.ros import republisher
 from adp_path_follower.simulation import PAPER_START
 
 pytestmark = pytest.mark.nodes

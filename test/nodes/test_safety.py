@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from adp_path_follower.nodes.commands import Commands
+from adp_path_follower.ros.controller.commands import Commands
 
 pytestmark = pytest.mark.nodes
 
@@ -159,10 +159,10 @@ def test_a_clock_that_does_not_start_stands_still_or_jumps_back(peer, start):
 
 HANGING_CONTROLLER = """
 import sys, time
-from adp_path_follower.nodes import controller_process
+from adp_path_follower.ros import controller_process
 from adp_path_follower.core.follower import PathFollower
-from adp_path_follower.nodes.path_input import PathInput
-from adp_path_follower.nodes.telemetry import Telemetry
+from adp_path_follower.ros.controller.path_input import PathInput
+from adp_path_follower.ros.controller.telemetry import Telemetry
 
 OWNER, NAME = {owner}, "{name}"
 works, calls = getattr(OWNER, NAME), []

@@ -13,7 +13,7 @@ pytest.importorskip("optuna", reason="the extra 'sweep' is not installed")
 import optuna
 
 from adp_path_follower.bags.configuration import parse_configuration
-from adp_path_follower.nodes.delivery import ALL_CHANGES
+from adp_path_follower.ros.runtime.qos import ALL_CHANGES
 from adp_path_follower.sweeping.findings import findings, write_findings
 from adp_path_follower.sweeping.study import open_study, tune
 from adp_path_follower.sweeping.tune_file import read_tuning

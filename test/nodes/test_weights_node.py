@@ -98,7 +98,7 @@ def test_saving_while_driving(peer, start, tmp_path):
 SAVE = "path_follower/save_weights"
 SLOW_DISK = """
 import sys
-from adp_path_follower.nodes import controller_process, weights
+from adp_path_follower.ros import controller_process, weights
 
 write = weights.write_weights
 

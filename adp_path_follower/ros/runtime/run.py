@@ -14,9 +14,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from adp_path_follower.core.errors import AdpError, SettingsError
-from adp_path_follower.nodes.executor import DirectExecutor
-from adp_path_follower.nodes.log_output import unblocked_stderr
-from adp_path_follower.nodes.stop_request import StopRequest
+from adp_path_follower.ros.runtime.executor import DirectExecutor
+from adp_path_follower.ros.runtime.log_output import unblocked_stderr
+from adp_path_follower.ros.runtime.stop_request import StopRequest
 
 
 class RunnableNode(Protocol):

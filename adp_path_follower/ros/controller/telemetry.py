@@ -21,14 +21,14 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import ControllerSettings
 from adp_path_follower.core.supervisor import State, Status
-from adp_path_follower.nodes.conversions import (
+from adp_path_follower.ros.runtime.conversions import (
     array_message,
     make_header,
     pose_message,
     pose_stamped,
     vector_stamped,
 )
-from adp_path_follower.nodes.delivery import (
+from adp_path_follower.ros.runtime.qos import (
     ALL_CHANGES,
     EVERY_STEP,
     LATCHED,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from adp_path_follower.nodes.commands import Commands
-from adp_path_follower.nodes.odometry_input import OdometryInput
-from adp_path_follower.nodes.path_input import PathInput
-from adp_path_follower.nodes.speed_limit_input import SpeedLimitInput
-from adp_path_follower.nodes.telemetry import Telemetry
-from adp_path_follower.nodes.watchdog import Watchdog
+from adp_path_follower.ros.controller.commands import Commands
+from adp_path_follower.ros.controller.odometry_input import OdometryInput
+from adp_path_follower.ros.controller.path_input import PathInput
+from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
+from adp_path_follower.ros.controller.telemetry import Telemetry
+from adp_path_follower.ros.controller.watchdog import Watchdog
 
 
 @dataclass(frozen=True)

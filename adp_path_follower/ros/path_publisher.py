@@ -11,9 +11,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from adp_path_follower.core.path_library import PATH_HELP, named_points
 from adp_path_follower.core.schema import setting
-from adp_path_follower.nodes.conversions import poses_message
-from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
-from adp_path_follower.nodes.run import Ending, run_node
+from adp_path_follower.ros.runtime.conversions import poses_message
+from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
+from adp_path_follower.ros.runtime.run import Ending, run_node
 
 NODE_NAME = "path_publisher"
 

@@ -12,9 +12,9 @@ from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.nodes.conversions import twist_message, twist_stamped
-from adp_path_follower.nodes.delivery import EVERY_STEP, LOSSLESS, repeat_until_delivered
-from adp_path_follower.nodes.watchdog import WATCH_PERIOD
+from adp_path_follower.ros.controller.watchdog import WATCH_PERIOD
+from adp_path_follower.ros.runtime.conversions import twist_message, twist_stamped
+from adp_path_follower.ros.runtime.qos import EVERY_STEP, LOSSLESS, repeat_until_delivered
 
 _STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop, at least ...
 _STOP_COUNT = 10  # ... so often: DDS may keep us waiting longer for a listener that stalls

@@ -12,7 +12,7 @@ import signal
 import sys
 from types import FrameType
 
-from adp_path_follower.nodes.stop_request import ending_signals
+from adp_path_follower.ros.runtime.stop_request import ending_signals
 from adp_path_follower.threads import use_one_blas_thread
 
 
@@ -36,17 +36,17 @@ def _main(module: str) -> None:
 
 def controller() -> None:
     """Run the path follower node."""
-    _main("adp_path_follower.nodes.controller_process")
+    _main("adp_path_follower.ros.controller.process")
 
 
 def path_publisher() -> None:
     """Run the path publisher node."""
-    _main("adp_path_follower.nodes.path_publisher")
+    _main("adp_path_follower.ros.path_publisher")
 
 
 def recorder() -> None:
     """Run the recorder node."""
-    _main("adp_path_follower.nodes.recorder")
+    _main("adp_path_follower.ros.recorder.node")
 
 
 def sim_unicycle() -> None:
@@ -54,7 +54,7 @@ def sim_unicycle() -> None:
     _main("sim_unicycle.node")
 
 
-if __name__ == "__main__":  # python -m adp_path_follower.nodes.entry NODE [ARGUMENTS]
+if __name__ == "__main__":  # python -m adp_path_follower.ros.runtime.entry NODE [ARGUMENTS]
     name = sys.argv.pop(1)
     {
         "controller": controller,

@@ -15,9 +15,9 @@ from adp_path_follower.bags.raw_messages import frame_of
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings
-from adp_path_follower.nodes.conversions import wrong_frame
-from adp_path_follower.nodes.frames import FrameError, FrameTransform
-from adp_path_follower.nodes.path_fitting import Fit, reason, route_of_message
+from adp_path_follower.ros.controller.path_process import Fit, reason, route_of_message
+from adp_path_follower.ros.runtime.conversions import wrong_frame
+from adp_path_follower.ros.runtime.frames import FrameError, FrameTransform
 
 _RETRY_PERIOD = 1.0  # [s], steady
 _CLOSING_TIME = 0.5  # [s], longer than most paths take

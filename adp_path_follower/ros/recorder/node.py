@@ -22,11 +22,11 @@ from std_msgs.msg import Header
 from adp_path_follower.bags.writer import BagExistsError, BagWriter, Limits, UnknownTypeError
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import expanded
-from adp_path_follower.nodes.parameters import declare_settings
-from adp_path_follower.nodes.provenance import provenance
-from adp_path_follower.nodes.recorder_settings import RUN_TOPICS, RecorderSettings
-from adp_path_follower.nodes.run import Ending, run_node
-from adp_path_follower.nodes.topic_choice import topic_patterns
+from adp_path_follower.ros.recorder.provenance import provenance
+from adp_path_follower.ros.recorder.settings import RUN_TOPICS, RecorderSettings
+from adp_path_follower.ros.recorder.topics import topic_patterns
+from adp_path_follower.ros.runtime.parameters import declare_settings
+from adp_path_follower.ros.runtime.run import Ending, run_node
 
 __all__ = ["NODE_NAME", "RUN_TOPICS", "RecorderNode", "main"]
 

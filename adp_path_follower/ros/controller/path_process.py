@@ -32,7 +32,7 @@ from adp_path_follower.bags.raw_messages import read_path, transformed
 from adp_path_follower.core.errors import AdpError, PathError
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings
-from adp_path_follower.nodes.stop_request import ending_signals
+from adp_path_follower.ros.runtime.stop_request import ending_signals
 
 _NICE = 5  # control comes first, where there are fewer cores than processes
 _PATIENCE = 20.0  # [s] without an answer: hundreds of times what a short path takes, and then

@@ -10,7 +10,7 @@ from rclpy.qos import qos_profile_sensor_data
 
 from adp_path_follower.core.odometry_check import OdometryCheck, OdometryProblem
 from adp_path_follower.core.settings import Settings
-from adp_path_follower.nodes.conversions import Measurement, MessageError, measurement_of
+from adp_path_follower.ros.runtime.conversions import Measurement, MessageError, measurement_of
 
 
 class OdometryInput:

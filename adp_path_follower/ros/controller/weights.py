@@ -23,7 +23,7 @@ from adp_path_follower.core.weights_file import (
     read_weights,
     write_weights,
 )
-from adp_path_follower.nodes.delivery import LATCHED
+from adp_path_follower.ros.runtime.qos import LATCHED
 
 
 class WeightsFiles:

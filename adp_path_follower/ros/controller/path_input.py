@@ -13,10 +13,10 @@ from rclpy.node import Node
 
 from adp_path_follower.bags.raw_messages import is_empty
 from adp_path_follower.core.settings import PathSettings
-from adp_path_follower.nodes.delivery import LATCHED
-from adp_path_follower.nodes.frames import frame_transform
-from adp_path_follower.nodes.path_fitting import Fit
-from adp_path_follower.nodes.path_intake import PathAnswer, PathIntake, PathRequest
+from adp_path_follower.ros.controller.path_process import Fit
+from adp_path_follower.ros.controller.path_worker import PathAnswer, PathIntake, PathRequest
+from adp_path_follower.ros.runtime.frames import frame_transform
+from adp_path_follower.ros.runtime.qos import LATCHED
 
 
 class PathInput:

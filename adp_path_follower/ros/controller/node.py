@@ -19,20 +19,20 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.odometry_check import OdometryProblem, stamp_problem
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.supervisor import State, Status, Supervisor, deviation
-from adp_path_follower.nodes.commands import Commands
-from adp_path_follower.nodes.controller_parts import ControllerParts
-from adp_path_follower.nodes.conversions import Measurement
-from adp_path_follower.nodes.defended import defend_services, told_if_it_fails
-from adp_path_follower.nodes.odometry_input import OdometryInput
-from adp_path_follower.nodes.parameters import LiveSettings, declare_settings
-from adp_path_follower.nodes.path_fitting import Fit, route_of_message
-from adp_path_follower.nodes.path_input import PathInput
-from adp_path_follower.nodes.path_intake import PathAnswer
-from adp_path_follower.nodes.run import Ending
-from adp_path_follower.nodes.speed_limit_input import SpeedLimitInput
-from adp_path_follower.nodes.telemetry import Telemetry
-from adp_path_follower.nodes.watchdog import WATCH_PERIOD, Watchdog
-from adp_path_follower.nodes.weights import WeightsFiles
+from adp_path_follower.ros.controller.commands import Commands
+from adp_path_follower.ros.controller.odometry_input import OdometryInput
+from adp_path_follower.ros.controller.parts import ControllerParts
+from adp_path_follower.ros.controller.path_input import PathInput
+from adp_path_follower.ros.controller.path_process import Fit, route_of_message
+from adp_path_follower.ros.controller.path_worker import PathAnswer
+from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
+from adp_path_follower.ros.controller.telemetry import Telemetry
+from adp_path_follower.ros.controller.watchdog import WATCH_PERIOD, Watchdog
+from adp_path_follower.ros.controller.weights import WeightsFiles
+from adp_path_follower.ros.runtime.conversions import Measurement
+from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
+from adp_path_follower.ros.runtime.run import Ending
+from adp_path_follower.ros.runtime.service_guards import defend_services, told_if_it_fails
 
 NODE_NAME = "path_follower"
 

@@ -1,0 +1,5 @@
+"""The recorder node: its settings, choice of topics and provenance.
+
+May import `ros.runtime`, `bags` and `messages`.
+Never interprets what it records.
+"""
