@@ -54,7 +54,7 @@ def test_it_starts_executables_that_are_installed():
 
 
 def test_nodes_keep_the_names_that_parameter_files_use():
-    sources = [*ROOT.glob("adp_path_follower/nodes/*.py"), ROOT / "sim_unicycle" / "node.py"]
+    sources = [*ROOT.glob("adp_path_follower/ros/**/*.py"), ROOT / "sim_unicycle" / "node.py"]
     own_names = {
         name
         for file in sources

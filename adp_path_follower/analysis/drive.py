@@ -12,13 +12,13 @@ import numpy as np
 from adp_path_follower.analysis.projection import Projection, project
 from adp_path_follower.analysis.segments import segments_driven
 from adp_path_follower.bags.columns import Series
-from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.bags.reader import Diagnostic, Run
-from adp_path_follower.bags.recorded_routes import RecordedRoutes
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.route import Route, Segment
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.messages.configuration import parse_configuration
+from adp_path_follower.study.replay.recorded_routes import RecordedRoutes
 
 _OTHER_CLOCK = 1_000_000_000  # [ns] between arrival and stamp: they are of different clocks
 _SAME_CLOCK_SHARE = 0.9  # of the commands that arrived exactly at the stamp of some odometry

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from adp_path_follower.analysis.drive import Drive, controller_states
-from adp_path_follower.bags.configuration import Configuration, parse_configuration
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.messages.configuration import Configuration, parse_configuration
 
 MOST_EVENTS = 500  # that are kept of a bag
 KINDS = ("state", "fault", "warning", "parameter", "path")

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.bags.replay import Replay
 from adp_path_follower.core import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path import Path
@@ -21,6 +20,7 @@ from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.speed_profile import SpeedProfile
 from adp_path_follower.motion_cost import MotionCost
 from adp_path_follower.simulation import PAPER_START
+from adp_path_follower.study.replay.replay import Replay
 
 COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
 _TRANSIENT = 10.0  # [s] after which the tracking error counts

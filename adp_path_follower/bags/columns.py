@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from rosbags.typesys.store import Typestore
 
-from adp_path_follower.bags.cdr import MessageDecoder
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.messages.cdr import MessageDecoder
 
 _BATCH = 4096  # messages that are decoded at once
 _TWIST = ("linear.x", "angular.z")

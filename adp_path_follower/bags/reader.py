@@ -14,9 +14,9 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from adp_path_follower.bags.columns import Columns, Series
-from adp_path_follower.bags.raw_messages import read_path
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.messages.raw import read_path
 
 _NODE = "path_follower"
 _FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")

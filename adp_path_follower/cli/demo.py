@@ -155,8 +155,8 @@ def _report(bag: Path, directory: Path, duration: float, wall_time: float) -> No
     from adp_path_follower.analysis.figures import draw_figures, view_of_replay
     from adp_path_follower.analysis.metrics import measure, paper_optimum
     from adp_path_follower.bags.reader import read_run
-    from adp_path_follower.bags.replay import replay
     from adp_path_follower.cli.summary import summary_markdown, summary_table
+    from adp_path_follower.study.replay.replay import replay
 
     click.echo("reading the bag and drawing the figures")
     run = read_run(bag)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from adp_path_follower.bags.recover import Recovery
-from adp_path_follower.bags.recover import recover as recover_bag
+from adp_path_follower.bags.recovery.recover import Recovery
+from adp_path_follower.bags.recovery.recover import recover as recover_bag
 from adp_path_follower.cli.options import FILE, progress_bar
 
 

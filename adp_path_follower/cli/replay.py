@@ -13,11 +13,6 @@ import numpy as np
 from click.core import ParameterSource
 
 from adp_path_follower.bags.reader import Run, read_run
-from adp_path_follower.bags.replay import Replay
-from adp_path_follower.bags.replay import replay as replay_run
-from adp_path_follower.bags.replay_bag import write_replay
-from adp_path_follower.bags.rerun import rerun
-from adp_path_follower.bags.weight_comparison import ComparedWeights, compare_weights
 from adp_path_follower.cli.options import (
     FILE,
     check_writable,
@@ -33,6 +28,11 @@ from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.parameter_file import load_settings, parse_assignment
 from adp_path_follower.core.settings import Settings
+from adp_path_follower.study.replay.closed_loop import rerun
+from adp_path_follower.study.replay.replay import Replay
+from adp_path_follower.study.replay.replay import replay as replay_run
+from adp_path_follower.study.replay.weight_comparison import ComparedWeights, compare_weights
+from adp_path_follower.study.replay.write_bag import write_replay
 
 
 @click.command()

@@ -8,8 +8,8 @@ from bag_messages import STORE, TYPES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.raw_messages import read_odometry, stamped_numbers
+from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.raw import read_odometry, stamped_numbers
 
 NAMES = st.text("abcäß/_", max_size=9)
 NUMBERS = st.lists(st.floats(), min_size=13, max_size=13)

@@ -22,10 +22,10 @@ from bag_messages import (
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from adp_path_follower.bags.cdr import MessageDecoder
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.messages.cdr import MessageDecoder
 
 
 def small_run(stamped: bool = True):

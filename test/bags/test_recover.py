@@ -19,11 +19,11 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from adp_path_follower.bags.mcap_chunk import MOST_BYTES
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.recover import recover
-from adp_path_follower.bags.replay import replay
+from adp_path_follower.bags.recovery.mcap_chunk import MOST_BYTES
+from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.study.replay.replay import replay
 
 FLOAT = "std_msgs/msg/Float64"
 VARIANTS = ("plain", "chunks", "lz4", "zstd")

@@ -10,15 +10,15 @@ import torn_bags
 from commands import adp
 from rosbags.rosbag2 import Reader
 
-from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.replay import replay, steps_of
-from adp_path_follower.bags.replay_bag import write_replay
-from adp_path_follower.bags.rerun import rerun
-from adp_path_follower.bags.weight_comparison import compare_weights
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.schema import update
+from adp_path_follower.messages.configuration import parse_configuration
+from adp_path_follower.study.replay.closed_loop import rerun
+from adp_path_follower.study.replay.replay import replay, steps_of
+from adp_path_follower.study.replay.weight_comparison import compare_weights
+from adp_path_follower.study.replay.write_bag import write_replay
 
 
 @pytest.fixture(scope="module")

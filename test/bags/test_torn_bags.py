@@ -25,10 +25,10 @@ from mcap.opcode import Opcode
 from adp_path_follower.analysis.bag_analysis import analyse_bag
 from adp_path_follower.analysis.bag_pngs import draw_bags
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.recover import recover
-from adp_path_follower.bags.replay import replay
+from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import AdpError, FileError
+from adp_path_follower.study.replay.replay import replay
 
 KIND = "std_msgs/msg/Float64MultiArray"
 
@@ -227,7 +227,7 @@ def test_declared_lengths_take_no_memory(run, files, tmp_path):
     script = (
         "import re, sys\n"
         "from pathlib import Path\n"
-        "from adp_path_follower.bags.recover import recover\n"
+        "from adp_path_follower.bags.recovery.recover import recover\n"
         "print(sum(recover(Path(sys.argv[1])).message_counts.values()))\n"
         # Not `ru_maxrss`, which begins with the memory of the process that has started this one.
         "status = Path('/proc/self/status').read_text()\n"

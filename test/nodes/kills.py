@@ -20,7 +20,7 @@ from adp_path_follower.ros.processes import NodeProcess
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 
-from adp_path_follower.bags.recover import recover
+from adp_path_follower.bags.recovery.recover import recover
 
 _READY = 60.0  # [s]
 

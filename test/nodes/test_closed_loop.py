@@ -21,7 +21,6 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.replay import replay
 from adp_path_follower.core.parameter_file import load_settings
 from adp_path_follower.core.path import Path as FollowedPath
 from adp_path_follower.core.path_library import lissajous, named_path
@@ -29,6 +28,7 @@ from adp_path_follower.core.settings import Settings
 from adp_path_follower.ros.recorder.node import RUN_TOPICS
 from adp_path_follower.shared_files import config_file
 from adp_path_follower.simulation import PAPER_START, simulate
+from adp_path_follower.study.replay.replay import replay
 
 pytestmark = pytest.mark.nodes
 

@@ -11,9 +11,9 @@ from geometry_msgs.msg import TwistStamped
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from adp_path_follower.bags.configuration import parse_configuration
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.replay import replay
+from adp_path_follower.messages.configuration import parse_configuration
+from adp_path_follower.study.replay.replay import replay
 
 pytestmark = pytest.mark.nodes
 

@@ -19,16 +19,16 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import serialize_message
 
 from adp_path_follower.analysis.drive import drive_of
-from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.configuration import parse_configuration
-from adp_path_follower.bags.raw_messages import is_empty, read_path, transformed
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.replay import replay
 from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.configuration import parse_configuration
+from adp_path_follower.messages.raw import is_empty, read_path, transformed
 from adp_path_follower.ros.controller.path_process import route_of_message
 from adp_path_follower.ros.controller.path_worker import PathIntake, PathRequest, answer
 from adp_path_follower.ros.runtime.conversions import quaternion_of
 from adp_path_follower.ros.runtime.frames import FrameError, frame_transform
+from adp_path_follower.study.replay.replay import replay
 
 LINE = np.stack([np.linspace(0.0, 4.0, 41), np.zeros(41), np.zeros(41)], axis=1)
 

@@ -23,7 +23,7 @@ from rosbags.highlevel import AnyReader
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
-from adp_path_follower.bags.recover import recover
+from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.schema import build
 from adp_path_follower.ros.recorder.provenance import git_revision

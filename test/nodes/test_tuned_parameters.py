@@ -12,7 +12,7 @@ pytest.importorskip("optuna", reason="the extra 'sweep' is not installed")
 
 import optuna
 
-from adp_path_follower.bags.configuration import parse_configuration
+from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.ros.runtime.qos import ALL_CHANGES
 from adp_path_follower.sweeping.findings import findings, write_findings
 from adp_path_follower.sweeping.study import open_study, tune

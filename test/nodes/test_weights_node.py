@@ -14,13 +14,13 @@ from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.replay import replay
-from adp_path_follower.bags.replay_bag import write_replay
-from adp_path_follower.bags.weight_comparison import compare_weights
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.schema import build, update
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.weights_file import encode, read_weights
+from adp_path_follower.study.replay.replay import replay
+from adp_path_follower.study.replay.weight_comparison import compare_weights
+from adp_path_follower.study.replay.write_bag import write_replay
 
 pytestmark = pytest.mark.nodes
 

@@ -27,11 +27,11 @@ from typing import Any
 
 import numpy as np
 
-from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.raw_messages import read_path, transformed
 from adp_path_follower.core.errors import AdpError, PathError
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.raw import read_path, transformed
 from adp_path_follower.ros.runtime.stop_request import ending_signals
 
 _NICE = 5  # control comes first, where there are fewer cores than processes

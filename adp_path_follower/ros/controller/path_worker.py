@@ -11,10 +11,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from adp_path_follower.bags.raw_messages import frame_of
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.route import Route
 from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.messages.raw import frame_of
 from adp_path_follower.ros.controller.path_process import Fit, reason, route_of_message
 from adp_path_follower.ros.runtime.conversions import wrong_frame
 from adp_path_follower.ros.runtime.frames import FrameError, FrameTransform

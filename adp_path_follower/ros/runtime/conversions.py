@@ -11,10 +11,10 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
-from adp_path_follower.bags.cdr import CdrError
-from adp_path_follower.bags.raw_messages import read_odometry, stamped_numbers
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, advance_pose, yaw_of_quaternion
+from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.raw import read_odometry, stamped_numbers
 
 NANOSECONDS = 1_000_000_000
 _LONGEST_PREDICTION = 1.0  # [s]

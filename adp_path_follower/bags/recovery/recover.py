@@ -17,13 +17,13 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from adp_path_follower.bags.definitions import (
+from adp_path_follower.bags.recovery.definitions import (
     MessageDefinition,
     jazzy_schema,
     message_definition,
 )
-from adp_path_follower.bags.mcap_chunk import read_chunk, unpack_chunk
-from adp_path_follower.bags.mcap_scan import (
+from adp_path_follower.bags.recovery.mcap_chunk import read_chunk, unpack_chunk
+from adp_path_follower.bags.recovery.mcap_scan import (
     LATEST_TIME,
     MAGIC,
     MESSAGE_HEAD,
@@ -31,7 +31,7 @@ from adp_path_follower.bags.mcap_scan import (
     RecordScanner,
     read_definition,
 )
-from adp_path_follower.bags.torn_metadata import (
+from adp_path_follower.bags.recovery.metadata import (
     TornMetadata,
     read_torn_metadata,
     sound_qos_profiles,

@@ -18,7 +18,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from adp_path_follower.bags.mcap_chunk import CHUNK_HEAD, MOST_BYTES, read_chunk
+from adp_path_follower.bags.recovery.mcap_chunk import CHUNK_HEAD, MOST_BYTES, read_chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 LATEST_TIME = 2**63 - 1  # ROS keeps nanoseconds in a signed number

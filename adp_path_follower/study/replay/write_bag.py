@@ -13,10 +13,10 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from adp_path_follower.bags.replay import Replay
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.study.replay.replay import Replay
 
 _KINDS = {
     "/odom": "nav_msgs/msg/Odometry",

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adp_path_follower.bags.cdr import CdrError
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.messages.cdr import CdrError
 
 _HEADER = 4  # bytes of encapsulation before the first field
 _LITTLE_ENDIAN = b"\0\1\0\0"  # the encapsulation

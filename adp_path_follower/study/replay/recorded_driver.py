@@ -6,14 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from adp_path_follower.bags.configuration import (
-    NO_STEP,
-    Configuration,
-    configuration_text,
-    parse_configuration,
-)
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.bags.recorded_routes import RecordedRoutes
 from adp_path_follower.core.driver import Driver
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.follower import FollowerOutput, PathFollower
@@ -21,6 +14,13 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.schema import update
 from adp_path_follower.core.settings import Settings
 from adp_path_follower.core.weights_file import SavedWeights, decode
+from adp_path_follower.messages.configuration import (
+    NO_STEP,
+    Configuration,
+    configuration_text,
+    parse_configuration,
+)
+from adp_path_follower.study.replay.recorded_routes import RecordedRoutes
 
 NO_SETTINGS = (
     "the bag does not say with which settings a controller of this package ran "

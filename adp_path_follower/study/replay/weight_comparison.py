@@ -8,8 +8,8 @@ import numpy as np
 
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.bags.replay import Replay
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.study.replay.replay import Replay
 
 _KINDS = ("critic", "actor")
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from adp_path_follower.bags.configuration import Configuration, parse_configuration
-from adp_path_follower.bags.raw_messages import transformed
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
@@ -15,6 +13,8 @@ from adp_path_follower.core.path_preparation import prepare
 from adp_path_follower.core.route import Route, route_of
 from adp_path_follower.core.schema import setting_fields, update
 from adp_path_follower.core.settings import PathSettings, Settings
+from adp_path_follower.messages.configuration import Configuration, parse_configuration
+from adp_path_follower.messages.raw import transformed
 
 
 class RecordedRoutes:
