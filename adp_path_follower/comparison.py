@@ -13,9 +13,9 @@ from adp_path_follower.analysis.projection import project
 from adp_path_follower.contenders import Contender, contenders
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.speed_profile import speed_varies
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.speed_profile import speed_varies
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.optimum.collocation import Optimum, OptimumSolver
 from adp_path_follower.optimum.problem import OptimumError
 from adp_path_follower.simulation import PAPER_START, SimulationResult, simulate

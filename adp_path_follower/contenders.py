@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from adp_path_follower.baselines.registry import PEERS
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.follower import PathFollower
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.schema import build, flatten, setting_fields
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.shared_files import config_file
 from adp_path_follower.simulation import ControllerFactory
 

@@ -12,14 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.analysis.metrics import ReferenceMotion
-from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.bellman import SampledModel, excitation
+from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.schema import update
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.learning.bellman import excitation
+from adp_path_follower.core.learning.grid_model import SampledModel
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import update
 from adp_path_follower.optimum.collocation import OptimumSolver
 from adp_path_follower.optimum.costate import solve_costates
 from adp_path_follower.shared_files import config_file

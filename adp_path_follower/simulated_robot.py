@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.schema import flatten, setting_fields
+from adp_path_follower.core.settings.schema import flatten, setting_fields
 from sim_unicycle.fault_script import FaultScript, read_fault_script
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 

@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.core.controller import Controller, ControlOutput
+from adp_path_follower.core.control.cost import MotionCost
+from adp_path_follower.core.control.interface import Controller, ControlOutput
+from adp_path_follower.core.driving.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame
-from adp_path_follower.core.learner import Weights
-from adp_path_follower.core.path import Path, PathFrame
-from adp_path_follower.core.schema import update
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.motion_cost import MotionCost
+from adp_path_follower.core.learning.weights import Weights
+from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import update
 from adp_path_follower.trajectories import Trajectories, TrajectoryRecorder, weights_of
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings, SimulatorSettings

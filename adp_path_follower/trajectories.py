@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.controller import ControlOutput
-from adp_path_follower.core.follower import FollowerOutput
+from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.driving.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learner import Weights
+from adp_path_follower.core.learning.weights import Weights
 
 
 @dataclass(frozen=True)

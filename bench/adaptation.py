@@ -17,14 +17,14 @@ from matplotlib.figure import Figure
 
 import adp_path_follower
 from adp_path_follower.analysis.style import COLORS, STYLE
-from adp_path_follower.core.bellman import BellmanErrors
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.files import read_csv_columns
-from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.learning.bellman import BellmanErrors
+from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.optimum.collocation import OptimumSolver
 from adp_path_follower.simulation import simulate
 

@@ -16,10 +16,11 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "nodes"))
 
 # What the tests have for nodes, and a peer on their domain.
-from adp_path_follower.ros.processes import NodeProcess
 from conftest import Drive, Peer, is_zero  # after the path
 from geometry_msgs.msg import TwistStamped
 from test_other_processes import launched
+
+from adp_path_follower.nodes.processes import NodeProcess
 
 
 class Bench:

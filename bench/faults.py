@@ -32,7 +32,6 @@ from fault_table import GROUPS, table
 
 # isort: split
 # What the tests have for nodes, a peer on their domain and a defective controller.
-from adp_path_follower.ros.processes import own_domain
 from conftest import Drive, Peer, is_zero
 from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.msg import Transition
@@ -44,6 +43,8 @@ from test_controller_node import BROKEN_CONTROLLER
 from test_left_alone import DEFECTIVE_TRANSITION
 from test_other_processes import Team
 from test_safety import HANGING_CONTROLLER, SimulatedTime
+
+from adp_path_follower.nodes.processes import own_domain
 
 NAN, INFINITE = float("nan"), float("inf")
 ELSEWHERE = "from where it was"  # of odometry that has begun anew

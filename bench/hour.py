@@ -31,7 +31,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "nodes"))
 
 # What the tests have for nodes and a peer on their domain.
-from adp_path_follower.ros.processes import NodeProcess, own_domain
 from conftest import Peer, is_zero  # after the path
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
@@ -44,8 +43,9 @@ from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.core.path_library import named_path
+from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.nodes.processes import NodeProcess, own_domain
 from adp_path_follower.ros.runtime.conversions import poses_message
 
 WARM_UP = 5.0  # [min] after which memory must not grow any more

@@ -20,7 +20,8 @@ import rclpy  # noqa: F401  # before messages, whose libraries it finds
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "nodes"))
 
 import kills
-from adp_path_follower.ros.processes import own_domain
+
+from adp_path_follower.nodes.processes import own_domain
 
 _MOST_LOST = 0.5  # [s]
 

@@ -13,11 +13,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from adp_path_follower.analysis.style import COLORS, STYLE
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray, advance_pose
-from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 SIDE = 3.0  # [m]
 LIMITS = {

@@ -28,7 +28,6 @@ os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).with_name("qui
 
 import numpy as np
 import rclpy
-from adp_path_follower.ros.processes import NodeProcess, own_domain
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
@@ -37,7 +36,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from timing import Row, arguments, report
 
 from adp_path_follower.core.geometry import FloatArray, advance_pose
-from adp_path_follower.core.path_library import circle
+from adp_path_follower.core.path.library import circle
+from adp_path_follower.nodes.processes import NodeProcess, own_domain
 from adp_path_follower.ros.runtime.conversions import (
     odometry_message,
     poses_message,

@@ -11,9 +11,9 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.path_preparation import prepare
-from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.settings.groups import PathSettings
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

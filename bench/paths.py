@@ -19,11 +19,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adp_path_follower.core.driver import Driver
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.route import Route
-from adp_path_follower.core.settings import PathSettings, Settings
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.path.route import Route
+from adp_path_follower.core.settings.groups import PathSettings, Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.ros.controller.path_process import Fit, FittingProcess, route_of_message
 
 _PERIOD = 0.01  # [s]

@@ -22,14 +22,14 @@ from timing import Row, arguments, in_turns, ratio, report
 
 from adp_path_follower.baselines.nmpc import Nmpc
 from adp_path_follower.core.basis import Basis, PolynomialBasis
-from adp_path_follower.core.controller import ControlOutput
+from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.geometry import FloatArray, advance_pose
-from adp_path_follower.core.knot_model import KnotModel, fit
-from adp_path_follower.core.learning_settings import LearningSettings
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.policy import saturate
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.learning.knot_model import KnotModel, fit
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.learning import LearningSettings
+from adp_path_follower.core.settings.parameter_file import load_settings
 
 _WEIGHTS, _SAMPLES = (9, 24, 48, 104), (81, 400, 1000, 3000)
 _FLOOR, _PEER = "bare products", "NMPC"

@@ -20,9 +20,9 @@ import numpy as np
 from timing import Row, arguments, report
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.shared_files import config_file
 from adp_path_follower.simulation import SimulationResult, simulate
 

@@ -19,16 +19,17 @@ from pathlib import Path
 import numpy as np
 from timing import Row, arguments, in_turns, ratio, report
 
-from adp_path_follower.core.bellman import SampledModel, excitation
-from adp_path_follower.core.driver import Driver
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray, advance_pose
-from adp_path_follower.core.knot_model import KnotModel, fit
-from adp_path_follower.core.learner import update_weights
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.core.path_library import circle, lissajous
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.learning.bellman import excitation
+from adp_path_follower.core.learning.grid_model import SampledModel
+from adp_path_follower.core.learning.knot_model import KnotModel, fit
+from adp_path_follower.core.learning.update_laws import update_weights
+from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.path.library import circle, lissajous
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.shared_files import config_file
 
 _PERIOD = 10_000_000  # [ns]

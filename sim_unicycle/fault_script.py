@@ -10,7 +10,7 @@ from pathlib import Path
 
 from adp_path_follower.core.errors import FileError, SettingsError
 from adp_path_follower.core.files import read_yaml
-from adp_path_follower.core.schema import Value, build, checked, setting_fields, update
+from adp_path_follower.core.settings.schema import Value, build, checked, setting_fields, update
 from adp_path_follower.shared_files import config_file
 from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
 

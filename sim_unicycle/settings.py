@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.schema import POSITIVE, setting
+from adp_path_follower.core.settings.schema import POSITIVE, setting
 
 _WIRING = "the node's topics and timers are made from it"
 _START = "it is where the run starts; call ~/reset to start again"

@@ -28,8 +28,8 @@ from adp_path_follower.analysis.bag_metrics import METRICS, settling
 from adp_path_follower.analysis.decimation import extremes
 from adp_path_follower.analysis.events import MOST_EVENTS
 from adp_path_follower.analysis.projection import project
-from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.path.library import lissajous
 
 ROOT = Path(__file__).parents[1]
 

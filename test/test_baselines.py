@@ -22,13 +22,13 @@ from adp_path_follower.baselines.nearest import NearestPlace
 from adp_path_follower.baselines.pure_pursuit import PurePursuit, RegulatedPurePursuit
 from adp_path_follower.baselines.registry import PEERS
 from adp_path_follower.baselines.stanley import Stanley, StanleyGains
-from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.controller import RunningCost
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.cost import RunningCost
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.shared_files import config_file
 
 try:
@@ -330,9 +330,9 @@ def test_without_casadi_only_nmpc_is_missing(tmp_path):
         "import numpy as np\n"
         "from adp_path_follower.baselines.registry import PEERS\n"
         "from adp_path_follower.core.errors import AdpError\n"
-        "from adp_path_follower.core.path_library import named_path\n"
-        "from adp_path_follower.core.schema import build\n"
-        "from adp_path_follower.core.settings import Settings\n"
+        "from adp_path_follower.core.path.library import named_path\n"
+        "from adp_path_follower.core.settings.schema import build\n"
+        "from adp_path_follower.core.settings.groups import Settings\n"
         "for name, peer in PEERS.items():\n"
         "    try:\n"
         "        peer.factory(build(Settings, {}), named_path('line'), np.zeros(1))\n"

@@ -17,10 +17,11 @@ from commands import adp
 from adp_path_follower.analysis.comparison_figures import draw_comparison
 from adp_path_follower.comparison import Comparison, Outcome, compare
 from adp_path_follower.contenders import CONTROLLERS, Contender, contenders
-from adp_path_follower.core.controller import ControlOutput, VirtualTarget
-from adp_path_follower.core.path_library import circle, named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.control.virtual_target import VirtualTarget
+from adp_path_follower.core.path.library import circle, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import simulate
 
 OPTIMUM = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())

@@ -13,9 +13,9 @@ from click.testing import CliRunner
 
 from adp_path_follower import __version__
 from adp_path_follower.cli.parameters import parameters
-from adp_path_follower.core.parameter_file import load_settings, parameter_file_text
-from adp_path_follower.core.schema import build, flatten, setting_fields
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
+from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from sim_unicycle.settings import SimulatorSettings
 
 ROOT = Path(__file__).parents[1]

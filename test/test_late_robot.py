@@ -10,11 +10,11 @@ import pytest
 
 from adp_path_follower.analysis.projection import project
 from adp_path_follower.baselines.registry import PEERS
-from adp_path_follower.core.follower import PathFollower
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import simulate
 from sim_unicycle.settings import PlantSettings
 

@@ -18,13 +18,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
-from adp_path_follower.ros.closed_loop import run_closed_loop
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.nodes.closed_loop import run_closed_loop
 from adp_path_follower.shared_files import config_file
 from adp_path_follower.simulation import PAPER_START
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adp_path_follower.core.follower import PathFollower
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import simulate
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())

@@ -14,9 +14,9 @@ from commands import adp
 
 pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
 
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.optimum.collocation import OptimumSolver
 from adp_path_follower.optimum.costate import solve_costates
 from adp_path_follower.optimum.problem import OptimumError

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.analysis.segments import _monotone, segments_driven
-from adp_path_follower.core.path_preparation import prepare
-from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.settings.groups import PathSettings
 
 
 @settings(max_examples=200, deadline=None)

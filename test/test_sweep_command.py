@@ -21,9 +21,9 @@ import pyarrow.parquet as pq
 import yaml
 from distributed import LocalCluster
 
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.schema import flatten
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import flatten
 from adp_path_follower.sweeping.interrupts import noted_interrupts
 from adp_path_follower.sweeping.parts_folder import PartsFolder
 from adp_path_follower.sweeping.plan import Plan, work_off

@@ -15,8 +15,8 @@ from hypothesis import given, settings
 
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import read_csv_columns
-from adp_path_follower.core.schema import build, flatten, setting_fields
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.sweeping.conditions import PathSource, forty_starts
 from adp_path_follower.sweeping.optima import optimal_costs
 from adp_path_follower.sweeping.plan import Plan

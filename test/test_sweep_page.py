@@ -11,8 +11,8 @@ import pytest
 
 pytest.importorskip("distributed", reason="the extra 'sweep' is not installed")
 
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.sweeping.overview import overview, summary_text
 from adp_path_follower.sweeping.sweep import write_results
 from adp_path_follower.sweeping.sweep_figures import sweep_figures

@@ -15,9 +15,9 @@ import pytest
 optuna = pytest.importorskip("optuna", reason="the extra 'sweep' is not installed")
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.schema import build, flatten, setting_fields
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.sweeping.findings import findings, findings_text, write_findings
 from adp_path_follower.sweeping.ranges import Listed, Range, own_range
 from adp_path_follower.sweeping.study import open_study, refused, score_of, tried, tune, values_of

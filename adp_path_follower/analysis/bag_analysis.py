@@ -13,7 +13,7 @@ from adp_path_follower.analysis.charts import Charts, charts_of
 from adp_path_follower.analysis.drive import Drive, drive_of
 from adp_path_follower.analysis.events import Event, events_of
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.core.schema import flatten, yaml_text
+from adp_path_follower.core.settings.schema import flatten, yaml_text
 
 
 @dataclass(frozen=True)

@@ -23,12 +23,12 @@ from adp_path_follower.analysis.metrics import (
     is_paper_problem,
     paper_optimum,
 )
-from adp_path_follower.core.controller import VirtualTarget
+from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.supervisor import State
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.safety.supervisor import State
+from adp_path_follower.core.settings.groups import Settings
 
 TRANSIENT = 10.0  # [s] after which the steady cross-track error counts
 SETTLED_SHARE = 0.05  # of the error at the start

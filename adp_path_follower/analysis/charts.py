@@ -15,7 +15,7 @@ from adp_path_follower.analysis.bag_metrics import TRANSIENT
 from adp_path_follower.analysis.decimation import extremes
 from adp_path_follower.analysis.drive import Drive, Timed, period_of
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
+from adp_path_follower.core.path.curve import Path
 
 _BUCKETS = 2000  # of a line, shared by the bags
 _GREY_BUCKETS = 200  # of a weight that is only there for the whole

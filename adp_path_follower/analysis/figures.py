@@ -15,7 +15,7 @@ from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path as FollowedPath
+from adp_path_follower.core.path.curve import Path as FollowedPath
 from adp_path_follower.study.replay.replay import Replay
 from adp_path_follower.trajectories import Trajectories
 

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.cost import MotionCost
+from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.policy import saturate
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.speed_profile import SpeedProfile
-from adp_path_follower.motion_cost import MotionCost
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.path.speed_profile import SpeedProfile
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import PAPER_START
 from adp_path_follower.study.replay.replay import Replay
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.error_dynamics import tracking_error
+from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
+from adp_path_follower.core.path.curve import Path
 
 _REACH = 0.5  # [m] of path that is searched beyond how far the robot drove
 _STRIDE = 0.5  # [m] that the robot drives while one stretch of path is searched

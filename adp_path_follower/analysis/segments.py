@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.route import Route
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.route import Route
 
 _SPACING = 0.02  # [m] of the places that poses are compared with
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.baselines.peer import PeerController
-from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path, PathFrame
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.settings.groups import Settings
 
 
 @dataclass(frozen=True)

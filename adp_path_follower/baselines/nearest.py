@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.core.error_dynamics import tracking_error
+from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
+from adp_path_follower.core.path.curve import Path
 
 _REACH = 1.0  # [m] to either side of the last place
 _SPACING = 0.1  # [m] of the candidates there

@@ -18,7 +18,7 @@ import numpy as np
 
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.settings import CostSettings, LimitSettings, TargetSettings
+from adp_path_follower.core.settings.groups import CostSettings, LimitSettings, TargetSettings
 
 try:
     import casadi

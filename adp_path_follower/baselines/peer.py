@@ -7,11 +7,12 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.controller import ControlOutput, VirtualTarget
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path, PathFrame
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.settings.groups import Settings
 
 
 class PeerController(ABC):

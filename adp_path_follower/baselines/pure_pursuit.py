@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from adp_path_follower.baselines.nearest import NearestPlace
 from adp_path_follower.baselines.peer import PeerController
-from adp_path_follower.core.error_dynamics import tracking_error
+from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.geometry import FloatArray, contiguous
-from adp_path_follower.core.path import Path, PathFrame
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.settings.groups import Settings
 
 USUAL_LOOKAHEAD = 1.0  # [m], as in MATLAB's controllerPurePursuit
 TUNED_LOOKAHEAD = 0.6  # [m]

@@ -18,10 +18,10 @@ from adp_path_follower.baselines.lapierre_soetanto import LapierreSoetanto
 from adp_path_follower.baselines.lqr import Lqr
 from adp_path_follower.baselines.pure_pursuit import PurePursuit, RegulatedPurePursuit
 from adp_path_follower.baselines.stanley import Stanley
-from adp_path_follower.core.controller import Controller
+from adp_path_follower.core.control.interface import Controller
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import Settings
 
 Factory = Callable[[Settings, Path, FloatArray], Controller]
 

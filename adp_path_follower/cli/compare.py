@@ -25,10 +25,10 @@ from adp_path_follower.cli.options import (
 from adp_path_follower.contenders import CONTROLLERS
 from adp_path_follower.core.files import output_to, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path import Path as PlanarPath
-from adp_path_follower.core.path_library import PATH_HELP, named_path
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path as PlanarPath
+from adp_path_follower.core.path.library import PATH_HELP, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.simulated_robot import without_nodes
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not

@@ -22,10 +22,10 @@ from adp_path_follower.cli.options import (
     write_json,
 )
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.simulation import PAPER_START
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.settings import SimulatorSettings
@@ -105,7 +105,7 @@ def _run(
     directory: Path,
 ) -> Path:
     """Run the nodes with a progress bar and return the bag."""
-    from adp_path_follower.ros.closed_loop import Progress, run_closed_loop
+    from adp_path_follower.nodes.closed_loop import Progress, run_closed_loop
 
     text = {"": "starting the nodes"}
     shown = 0.0

@@ -24,10 +24,10 @@ from adp_path_follower.cli.outputs import check_figure, write_npz
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.speed_profile import speed_varies
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.path.speed_profile import speed_varies
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.shared_files import config_file
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not

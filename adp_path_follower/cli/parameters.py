@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from adp_path_follower.cli.options import settings_options
-from adp_path_follower.core.parameter_file import load_settings, parameter_file_text
-from adp_path_follower.core.schema import describe_table, group_titles
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
+from adp_path_follower.core.settings.schema import describe_table, group_titles
 from sim_unicycle.settings import SimulatorSettings
 
 _INTRODUCTION = """\

@@ -26,8 +26,8 @@ from adp_path_follower.cli.outputs import check_figure
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.parameter_file import load_settings, parse_assignment
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings, parse_assignment
 from adp_path_follower.study.replay.closed_loop import rerun
 from adp_path_follower.study.replay.replay import Replay
 from adp_path_follower.study.replay.replay import replay as replay_run
@@ -164,7 +164,7 @@ def _wanted(
 
 def _republish(bag: Path, run: Run, rate: float) -> None:
     try:
-        from adp_path_follower.ros.republisher import republish
+        from adp_path_follower.study.replay.republish import republish
     except ImportError:
         raise AdpError(
             "ROS 2 is missing: source a Jazzy installation, or install its wheels with: "

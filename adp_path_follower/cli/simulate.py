@@ -21,14 +21,14 @@ from adp_path_follower.cli.options import (
     write_json,
 )
 from adp_path_follower.cli.outputs import write_npz
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path import Path as PlanarPath
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.weights_file import read_weights
+from adp_path_follower.core.learning.weights_file import read_weights
+from adp_path_follower.core.path.curve import Path as PlanarPath
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.simulated_robot import without_nodes
 from adp_path_follower.simulation import (
     LEARNING_MODES,

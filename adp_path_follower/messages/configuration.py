@@ -10,10 +10,10 @@ import yaml
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import parse_yaml
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.route import Route
-from adp_path_follower.core.schema import build, flatten, yaml_text
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.route import Route
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build, flatten, yaml_text
 
 NO_STEP = -1
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.schema import Value, yaml_text
+from adp_path_follower.core.settings.schema import Value, yaml_text
 
 _DOMAINS = range(1, 102)  # the ports of higher ones lie where Linux takes ports for clients
 

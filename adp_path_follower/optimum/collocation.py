@@ -18,8 +18,8 @@ import numpy as np
 from scipy.interpolate import BarycentricInterpolator, KroghInterpolator
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.optimum.problem import Motion, OptimumError, Problem
 
 HORIZON = 30.0  # [s]

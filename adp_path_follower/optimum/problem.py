@@ -9,13 +9,13 @@ from typing import Any
 import casadi
 import numpy as np
 
-from adp_path_follower.core import error_dynamics
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.policy import saturate
+from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.policy import saturate
-from adp_path_follower.core.riccati import riccati_solution
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import Settings
 
 _MARGIN = 10.0  # [m] of path behind and ahead of what the desired speed covers
 _SPACING = 0.005  # [m] of the curvature's knots: at 2 cm J* was 1e-4 wrong round a corner

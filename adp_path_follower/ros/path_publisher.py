@@ -9,8 +9,8 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from adp_path_follower.core.path_library import PATH_HELP, named_points
-from adp_path_follower.core.schema import setting
+from adp_path_follower.core.path.library import PATH_HELP, named_points
+from adp_path_follower.core.settings.schema import setting
 from adp_path_follower.ros.runtime.conversions import poses_message
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
 from adp_path_follower.ros.runtime.run import Ending, run_node

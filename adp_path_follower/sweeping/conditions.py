@@ -13,11 +13,11 @@ import numpy as np
 from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_library import is_path_file, named_path, path_through, read_points
-from adp_path_follower.core.schema import build, flatten
-from adp_path_follower.core.settings import PathSettings, Settings
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import is_path_file, named_path, path_through, read_points
+from adp_path_follower.core.settings.groups import PathSettings, Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import build, flatten
 from adp_path_follower.simulated_robot import without_nodes
 from adp_path_follower.simulation import HIGHEST_RATE, LEARNING_MODES, PAPER_START
 from adp_path_follower.sweeping.yaml_file import Section

@@ -14,9 +14,9 @@ from optuna.trial import FrozenTrial
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to, write_output
-from adp_path_follower.core.parameter_file import load_settings, parameter_file_text
-from adp_path_follower.core.schema import Value, flatten
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
+from adp_path_follower.core.settings.schema import Value, flatten
 from adp_path_follower.sweeping.overview import shown
 from adp_path_follower.sweeping.ranges import Listed, Variation
 from adp_path_follower.sweeping.study import baseline, refused, score_of, tried, values_of

@@ -9,8 +9,8 @@ import numpy as np
 
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.sweeping.conditions import Conditions, PathSource
 
 _PATHS = ("lissajous", "line", "circle:0.5", "circle:1.0")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.schema import Value
+from adp_path_follower.core.settings.schema import Value
 from adp_path_follower.sweeping.objectives import (
     OBJECTIVES,
     Columns,

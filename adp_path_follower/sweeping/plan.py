@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.sweeping.optima import optimal_costs
 from adp_path_follower.sweeping.runs import MOST_AT_ONCE, Batch, Columns, simulate_batch
 from adp_path_follower.sweeping.sweep_file import Sweep
@@ -131,7 +131,7 @@ def check_first_runs(sweep: Sweep) -> None:
         AdpError: The controller cannot be made with the settings for a path.
 
     """
-    from adp_path_follower.core.follower import PathFollower
+    from adp_path_follower.core.driving.follower import PathFollower
 
     for source in sweep.conditions.paths:
         settings: Settings = sweep.settings(0)

@@ -7,8 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.schema import SettingField, Value, checked, setting_fields, unknown_name
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import (
+    SettingField,
+    Value,
+    checked,
+    setting_fields,
+    unknown_name,
+)
 from adp_path_follower.sweeping.yaml_file import Section
 
 OWN = "own"

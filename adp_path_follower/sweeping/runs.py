@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.schema import update
-from adp_path_follower.core.settings import CostSettings, PathSettings, Settings
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import CostSettings, PathSettings, Settings
+from adp_path_follower.core.settings.schema import update
 from adp_path_follower.simulation import SimulationResult, simulate
 from adp_path_follower.sweeping.conditions import PathSource, Robot
 from adp_path_follower.sweeping.tracking import TrackingMeter

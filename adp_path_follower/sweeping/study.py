@@ -17,7 +17,7 @@ from optuna.distributions import (
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from adp_path_follower.core.errors import AdpError, SettingsError
-from adp_path_follower.core.schema import Value, flatten, yaml_text
+from adp_path_follower.core.settings.schema import Value, flatten, yaml_text
 from adp_path_follower.sweeping.cluster import Workers
 from adp_path_follower.sweeping.ranges import Listed, Variation
 from adp_path_follower.sweeping.trial import Score, score_runs

@@ -10,7 +10,7 @@ import numpy as np
 
 from adp_path_follower import __version__
 from adp_path_follower.core.files import output_to, write_output
-from adp_path_follower.core.parameter_file import parameter_file_text
+from adp_path_follower.core.settings.parameter_file import parameter_file_text
 from adp_path_follower.sweeping.cluster import workers
 from adp_path_follower.sweeping.estimate import batch_time
 from adp_path_follower.sweeping.overview import Overview, overview, shown

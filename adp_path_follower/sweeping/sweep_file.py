@@ -14,8 +14,8 @@ from scipy.stats import qmc
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.schema import Value, build, flatten
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import Value, build, flatten
 from adp_path_follower.sweeping.conditions import CONDITION_ENTRIES, Conditions, read_conditions
 from adp_path_follower.sweeping.objectives import OBJECTIVES
 from adp_path_follower.sweeping.ranges import (

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.controller import ControlOutput
-from adp_path_follower.core.error_dynamics import tracking_error
+from adp_path_follower.core.control.error_dynamics import tracking_error
+from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
+from adp_path_follower.core.path.curve import Path
 
 TRANSIENT = 10.0  # [s] after which the distance from the path counts, of runs that are longer
 SETTLED = 0.05  # of the distance [m] and the angle [rad] to the path together

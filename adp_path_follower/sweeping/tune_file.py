@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from adp_path_follower import __version__
-from adp_path_follower.core.parameter_file import parse_assignment
-from adp_path_follower.core.schema import Value, build, flatten, setting_fields
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import parse_assignment
+from adp_path_follower.core.settings.schema import Value, build, flatten, setting_fields
 from adp_path_follower.sweeping.conditions import CONDITION_ENTRIES, Conditions, read_conditions
 from adp_path_follower.sweeping.objectives import OBJECTIVES
 from adp_path_follower.sweeping.ranges import (

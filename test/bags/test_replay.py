@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Reader
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.schema import update
+from adp_path_follower.core.settings.schema import update
 from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.study.replay.closed_loop import rerun
 from adp_path_follower.study.replay.replay import replay, steps_of

@@ -17,13 +17,13 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.writer import BagWriter
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import yaw_of_quaternion
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path import Path as AnyPath
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.schema import flatten, yaml_text
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path as AnyPath
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import flatten, yaml_text
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 # Topic, times and bytes: what must be the same in a recovered bag.

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from adp_path_follower.core.path_library import lissajous
+from adp_path_follower.core.path.library import lissajous
 
 _PRINTED_WEIGHTS = (0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.5, 0.0, 1.0)
 

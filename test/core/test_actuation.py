@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.actuation import Actuation
-from adp_path_follower.core.driver import Driver
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.control.actuation import Actuation
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.path_library import circle, lissajous, named_path
-from adp_path_follower.core.schema import build, update
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import circle, lissajous, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build, update
 from sim_unicycle.settings import PlantSettings
 from sim_unicycle.unicycle import Unicycle
 

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.path_library import circle, lissajous, named_path
-from adp_path_follower.core.schema import build, update
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import circle, lissajous, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build, update
 
 EIGHT = lissajous()
 PERIOD = 0.01

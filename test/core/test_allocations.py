@@ -7,11 +7,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from adp_path_follower.core.driver import Driver
+from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.geometry import advance_pose
-from adp_path_follower.core.path_library import circle
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import circle
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 PERIOD = 10_000_000  # [ns]
 LAP = 630  # steps

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core import knot_memory
-from adp_path_follower.core.arc_length_learner import ArcLengthLearner
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.path_library import circle, lissajous, named_path
-from adp_path_follower.core.riccati import RiccatiSchedule, riccati_solution
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.learning import knot_weights
+from adp_path_follower.core.learning.path_learner import ArcLengthLearner
+from adp_path_follower.core.path.library import circle, lissajous, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 PATHS = {"figure eight": lissajous(), "circle": circle(0.5), "line": named_path("line")}
 UNLIMITED = {
@@ -315,7 +315,7 @@ def test_a_path_with_more_knots_than_are_remembered_is_learned_alike(name, monke
     path = PATHS[name]
     runs = []
     for memory in (8192, 64):
-        monkeypatch.setattr(knot_memory, "_MOST_KNOTS", memory)
+        monkeypatch.setattr(knot_weights, "_MOST_KNOTS", memory)
         follower = PathFollower(build(Settings, SMALL), path, 28.0)
         runs.append(driven(follower, 28.0, (-0.3, 0.4, 0.5), 1000, 0.05))
     travelled = runs[0][-1].arc_length - runs[0][0].arc_length
@@ -329,7 +329,7 @@ def test_more_knots_than_are_remembered_do_not_matter_at_the_seam_of_a_closed_pa
     path = PATHS["figure eight"]  # of 655 knots
     runs = []
     for memory in (8192, 650):
-        monkeypatch.setattr(knot_memory, "_MOST_KNOTS", memory)
+        monkeypatch.setattr(knot_weights, "_MOST_KNOTS", memory)
         follower = PathFollower(build(Settings, SMALL), path, 129.0)
         runs.append(driven(follower, 129.0, (-0.3, 0.4, 0.5), 200, 0.02))
     for whole, ring in zip(*runs, strict=True):

@@ -8,15 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from adp_path_follower.core.bellman import (
-    SampledModel,
-    bellman_errors,
-    excitation,
-    sample_grid,
-)
-from adp_path_follower.core.path_library import circle, lissajous
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.learning.bellman import bellman_errors, excitation
+from adp_path_follower.core.learning.grid_model import SampledModel
+from adp_path_follower.core.learning.samples import sample_grid
+from adp_path_follower.core.path.library import circle, lissajous
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 PATHS = {"figure eight": lissajous(), "circle": circle(-0.8)}
 weights = npst.arrays(float, 9, elements=st.floats(-3.0, 3.0))

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.command_limits import limited_command
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.control.actuation import limited_command
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 ZERO = np.zeros(2)
 RATES = st.one_of(st.floats(0.05, 10.0), st.just(math.inf))

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core import weights_file
-from adp_path_follower.core.driver import Driver
+from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.weights_file import decode, encode, read_weights, write_weights
+from adp_path_follower.core.learning import weights_file
+from adp_path_follower.core.learning.weights_file import decode, encode, read_weights, write_weights
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 SMALL = {"basis_degree": 4, "sample_count": 128, "samples_per_step": 128}
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from adp_path_follower.core.path_library import circle
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import circle
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import simulate
 from sim_unicycle.settings import PlantSettings
 from sim_unicycle.unicycle import Unicycle
@@ -221,14 +221,14 @@ class Recorded:
     measured: dict[float, np.ndarray]
 
     def __init__(self, settings, path, arc_length):
-        from adp_path_follower.core.controller import VirtualTarget
+        from adp_path_follower.core.control.virtual_target import VirtualTarget
 
         self.settings, self.path, self.measured, self.time = settings, path, {}, 0.0
         self.target = VirtualTarget(path, settings.target, arc_length)
 
     def step(self, pose, dt):
         """Return a zero command."""
-        from adp_path_follower.core.controller import ControlOutput
+        from adp_path_follower.core.control.interface import ControlOutput
 
         self.measured[round(self.time, 6)] = pose
         self.time += dt

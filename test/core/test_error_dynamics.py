@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.integrate import solve_ivp
 
-from adp_path_follower.core import error_dynamics as dynamics
+from adp_path_follower.core.control import error_dynamics as dynamics
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.path_library import circle, lissajous
-from adp_path_follower.core.settings import TargetSettings
+from adp_path_follower.core.path.library import circle, lissajous
+from adp_path_follower.core.settings.groups import TargetSettings
 
 PATHS = {"figure eight": lissajous(), "left": circle(1.0), "right": circle(-0.4)}
 

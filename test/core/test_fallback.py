@@ -7,13 +7,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.fallback import Distrust, RiccatiPolicy, is_doubtful
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.control.fallback import Distrust, RiccatiPolicy, is_doubtful
+from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import pose_in_frame
-from adp_path_follower.core.path_library import lissajous, named_path
-from adp_path_follower.core.riccati import RiccatiSchedule, riccati_solution
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import lissajous, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import simulate
 
 UNLIMITED = {

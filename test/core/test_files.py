@@ -15,7 +15,7 @@ from adp_path_follower.core.files import (
     read_text,
     read_yaml,
 )
-from adp_path_follower.core.path_library import path_from_file
+from adp_path_follower.core.path.library import path_from_file
 
 
 @pytest.fixture(scope="module")

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core import fleet_learner, knot_memory
-from adp_path_follower.core.arc_length_learner import ArcLengthLearner
-from adp_path_follower.core.fleet_learner import FleetLearner
-from adp_path_follower.core.path_library import circle, lissajous, named_path
-from adp_path_follower.core.riccati import RiccatiSchedule
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.speed_profile import SpeedProfile
+from adp_path_follower.core.control.riccati import RiccatiSchedule
+from adp_path_follower.core.learning import batch_learner, knot_weights
+from adp_path_follower.core.learning.batch_learner import FleetLearner
+from adp_path_follower.core.learning.path_learner import ArcLengthLearner
+from adp_path_follower.core.path.library import circle, lissajous, named_path
+from adp_path_follower.core.path.speed_profile import SpeedProfile
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 PATHS = {"figure eight": lissajous(), "small circle": circle(1.0), "line": named_path("line")}
 SMALL = {"basis_degree": 2, "sample_count": 40, "samples_per_step": 16, "preview_distance": 1.0}
@@ -102,7 +102,7 @@ def test_settling_tells_that_one_robot_did_not():
 
 @pytest.mark.parametrize("limit", [0, 20])
 def test_what_is_forgotten_is_found_again(limit, monkeypatch):
-    monkeypatch.setattr(fleet_learner, "_MOST_LESSONS", limit)
+    monkeypatch.setattr(batch_learner, "_MOST_LESSONS", limit)
     fleet, alone = learners(PATHS["figure eight"], 3, {})
     places = np.array([10.0, 12.0, 12.1])
     for step in range(80):
@@ -124,7 +124,7 @@ def test_robots_near_one_another_share_the_work():
 
 
 def test_more_laps_than_are_remembered_do_not_matter(monkeypatch):
-    monkeypatch.setattr(knot_memory, "_MOST_KNOTS", 20)
+    monkeypatch.setattr(knot_weights, "_MOST_KNOTS", 20)
     fleet, alone = learners(PATHS["figure eight"], 3, {})
     for step in range(80):
         places = np.array([3.0, 100.0, 135.0]) + 0.1 * step

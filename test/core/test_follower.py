@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.integrate import solve_ivp, trapezoid
 
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.learner import Weights
-from adp_path_follower.core.path_library import circle, lissajous, named_path
-from adp_path_follower.core.schema import build, update
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.learning.weights import Weights
+from adp_path_follower.core.path.library import circle, lissajous, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build, update
 
 PATHS = {"figure eight": lissajous(), "circle": circle(0.5), "line": named_path("line")}
 every_path = st.sampled_from(sorted(PATHS))

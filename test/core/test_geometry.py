@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as npst
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from adp_path_follower.core.error_dynamics import tracking_error
+from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.geometry import (
     advance_pose,
     clamped,

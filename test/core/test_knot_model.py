@@ -8,14 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.knot_model import (
-    KnotModel,
-    NormalEquations,
-    fit,
-    scattered_samples,
-)
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.learning.knot_model import KnotModel, NormalEquations, fit
+from adp_path_follower.core.learning.samples import scattered_samples
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 seeds = st.integers(0, 2**32 - 1)
 UNLIMITED = (-math.inf, math.inf, math.inf)

@@ -12,7 +12,7 @@ import sim_unicycle
 
 PACKAGE = Path(adp_path_follower.__file__).parent
 SIMULATOR = Path(sim_unicycle.__file__).parent
-CORE = sorted((PACKAGE / "core").glob("*.py"))
+CORE = sorted((PACKAGE / "core").rglob("*.py"))
 PRODUCT = sorted([*PACKAGE.rglob("*.py"), *SIMULATOR.rglob("*.py")])
 
 BLOCKED = [
@@ -50,7 +50,7 @@ def imported(file):
 
 def test_the_core_is_found():
     assert len(CORE) > 10
-    assert PACKAGE / "core" / "follower.py" in CORE
+    assert PACKAGE / "core" / "driving" / "follower.py" in CORE
 
 
 @pytest.mark.parametrize(

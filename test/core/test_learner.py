@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.linalg import expm
 
-from adp_path_follower.core.bellman import BellmanErrors, bellman_errors
-from adp_path_follower.core.learner import Weights, bound_norm, project, relax, update_weights
-from adp_path_follower.core.settings import LearningSettings
+from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
+from adp_path_follower.core.learning.update_laws import bound_norm, project, relax, update_weights
+from adp_path_follower.core.learning.weights import Weights
+from adp_path_follower.core.settings.groups import LearningSettings
 
 SIZE = 9
 seeds = st.integers(0, 2**32 - 1)

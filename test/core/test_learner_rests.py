@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_arc_length_learner import SMALL, UNUSED, CountingModel, at, learner_of
 
-from adp_path_follower.core.path_library import circle, lissajous
+from adp_path_follower.core.path.library import circle, lissajous
 
 PATHS = {"figure eight": lissajous(), "circle": circle(0.5)}
 

@@ -7,18 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.driver import Driver
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose
-from adp_path_follower.core.knot_model import KnotModel
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_library import circle, lissajous
-from adp_path_follower.core.path_preparation import prepare
-from adp_path_follower.core.riccati import RiccatiSchedule, riccati_solution
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.speed_profile import SpeedProfile
+from adp_path_follower.core.learning.knot_model import KnotModel
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import circle, lissajous
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.path.speed_profile import SpeedProfile
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import simulate
 
 LIMITS = {"max_linear_accel": 1.0, "max_linear_decel": 1.0, "max_angular_accel": 3.2}

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.geometry import advance_pose, wrap_angle
-from adp_path_follower.core.odometry_check import OdometryCheck
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.safety.odometry_check import OdometryCheck
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 FAST = {"odom_timeout": 0.5, "odom_jump_tolerance": 0.2, "max_linear_vel": 10.0}
 TUNING = build(Settings, {**FAST, "max_angular_vel": 5.0})

@@ -8,14 +8,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.errors import AdpError, FileError, SettingsError
-from adp_path_follower.core.parameter_file import (
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import (
     load_settings,
     parameter_file_text,
     parse_assignment,
     read_parameters,
 )
-from adp_path_follower.core.schema import build, flatten, setting_fields
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from sim_unicycle.settings import SimulatorSettings
 
 NODE = "path_follower"

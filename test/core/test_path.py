@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.spatial import cKDTree
 
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_library import circle, lissajous, named_path
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import circle, lissajous, named_path
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 

@@ -8,9 +8,9 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.errors import AdpError, FileError, PathError
-from adp_path_follower.core.path_library import circle, named_path, named_points, path_from_file
-from adp_path_follower.core.path_preparation import prepare
-from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.path.library import circle, named_path, named_points, path_from_file
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.settings.groups import PathSettings
 
 POINTS = [[0.0, 0.0], [1.0, 0.5], [2.0, 0.5], [3.0, 0.0]]
 

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.spatial import cKDTree
 
-from adp_path_follower.core import path_preparation
 from adp_path_follower.core.errors import PathError
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.path_preparation import prepare
-from adp_path_follower.core.settings import PathSettings
-from adp_path_follower.core.smoothing import is_fair
+from adp_path_follower.core.path import preparation
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.path.smoothing import is_fair
+from adp_path_follower.core.settings.groups import PathSettings
 
 FORWARDS = PathSettings()
 BOTH_WAYS = PathSettings(allow_reversing=True)
@@ -315,6 +315,6 @@ def test_a_long_path_is_tried_for_fairness_once(monkeypatch, closed):
         asked.append(arguments)
         return is_fair(*arguments)
 
-    monkeypatch.setattr(path_preparation, "is_fair", spied)
+    monkeypatch.setattr(preparation, "is_fair", spied)
     prepare(SQUARE, FORWARDS, closed=closed)
     assert len(asked) == 1

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from adp_path_follower.core.errors import PathError
-from adp_path_follower.core.path import Path
+from adp_path_follower.core.path.curve import Path
 
 _ZIGZAG = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.0, 0.0], [0.5, 0.0]]
 

@@ -8,15 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from adp_path_follower.core.bellman import bellman_errors
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import pose_in_frame
-from adp_path_follower.core.learner import Weights, follow, initial_weights, least_squares
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.path_state_learner import PathStateLearner
-from adp_path_follower.core.riccati import RiccatiSchedule, riccati_solution
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import CostSettings, LearningSettings, Settings, TargetSettings
+from adp_path_follower.core.learning.bellman import bellman_errors
+from adp_path_follower.core.learning.learner import initial_weights
+from adp_path_follower.core.learning.paper_learner import PathStateLearner
+from adp_path_follower.core.learning.update_laws import follow, least_squares
+from adp_path_follower.core.learning.weights import Weights
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.settings.groups import (
+    CostSettings,
+    LearningSettings,
+    Settings,
+    TargetSettings,
+)
+from adp_path_follower.core.settings.schema import build
 
 SIZE = 9
 EIGHT = lissajous()

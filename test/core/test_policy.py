@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.optimize import minimize
 
-from adp_path_follower.core.policy import actor_input, saturate
-from adp_path_follower.core.settings import LimitSettings
+from adp_path_follower.core.control.policy import actor_input, saturate
+from adp_path_follower.core.settings.groups import LimitSettings
 
 slopes = npst.arrays(float, (9, 2), elements=st.floats(-2.0, 2.0))
 weights = npst.arrays(float, 9, elements=st.floats(-2.0, 2.0))

@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from adp_path_follower.core import error_dynamics
-from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.path_library import circle, named_path
-from adp_path_follower.core.riccati import (
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.riccati import (
     INPUT_MATRIX,
     RiccatiSchedule,
     riccati_solution,
     riccati_solutions,
     system_matrix,
 )
-from adp_path_follower.core.settings import CostSettings, TargetSettings
+from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.path.library import circle, named_path
+from adp_path_follower.core.settings.groups import CostSettings, TargetSettings
 
 curvatures = st.floats(-10.0, 10.0)
 targets = st.builds(

@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.driver import Driver
-from adp_path_follower.core.error_dynamics import tracking_error
+from adp_path_follower.core.control.error_dynamics import tracking_error
+from adp_path_follower.core.driving.arrival import Standstill
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.driving.reversing import reversed_settings
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_preparation import prepare
-from adp_path_follower.core.reversing import reversed_settings
-from adp_path_follower.core.route import Route, Segment
-from adp_path_follower.core.schema import build, update
-from adp_path_follower.core.settings import PathSettings, Settings
-from adp_path_follower.core.standstill import Standstill
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.path.route import Route, Segment
+from adp_path_follower.core.settings.groups import PathSettings, Settings
+from adp_path_follower.core.settings.schema import build, update
 from sim_unicycle.settings import PlantSettings
 from sim_unicycle.unicycle import Unicycle
 

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.schema import (
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import (
     build,
     flatten,
     setting_fields,
     unknown_name,
     update,
 )
-from adp_path_follower.core.settings import Settings
 from sim_unicycle.settings import SimulatorSettings
 
 TREES = {"controller": Settings, "simulator": SimulatorSettings}

@@ -5,13 +5,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.files import parse_yaml
-from adp_path_follower.core.schema import (
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import (
     describe_table,
     group_titles,
     setting_fields,
     yaml_text,
 )
-from adp_path_follower.core.settings import Settings
 from sim_unicycle.settings import SimulatorSettings
 
 TREES = {"controller": Settings, "simulator": SimulatorSettings}

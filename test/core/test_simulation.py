@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp, trapezoid
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.path_library import circle, named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import circle, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import PAPER_START, simulate
 from sim_unicycle.settings import PlantSettings
 

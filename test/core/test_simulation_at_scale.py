@@ -5,13 +5,13 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import update
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import update
 from adp_path_follower.shared_files import config_file
 from adp_path_follower.simulation import simulate
 from sim_unicycle.settings import PlantSettings

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import qmc
 
-from adp_path_follower.core.sobol import scrambled_sobol_points
+from adp_path_follower.core.learning.samples import scrambled_sobol_points
 
 
 @given(count=st.integers(1, 5000), seed=st.integers(0, 2**64))

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_library import circle, lissajous, named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.speed_profile import SHARE, SpeedProfile, SpeedReference
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import circle, lissajous, named_path
+from adp_path_follower.core.path.speed_profile import SHARE, SpeedProfile, SpeedReference
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 EIGHT = lissajous()
 LINE = named_path("line")

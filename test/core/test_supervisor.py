@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.odometry_check import OdometryProblem
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.supervisor import State, Supervisor, deviation
+from adp_path_follower.core.safety.odometry_check import OdometryProblem
+from adp_path_follower.core.safety.supervisor import State, Supervisor, deviation
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 
 TIMEOUT = 0.5
 EVENTS = [

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.core.controller import RunningCost, VirtualTarget
+from adp_path_follower.core.control.cost import RunningCost
+from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.geometry import pose_in_frame
-from adp_path_follower.core.path_library import circle
-from adp_path_follower.core.settings import CostSettings, TargetSettings
+from adp_path_follower.core.path.library import circle
+from adp_path_follower.core.settings.groups import CostSettings, TargetSettings
 
 PATH = circle(0.5)
 SLOW = TargetSettings(desired_speed=0.5)

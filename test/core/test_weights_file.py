@@ -10,15 +10,15 @@ import pytest
 from click.testing import CliRunner
 
 from adp_path_follower.cli import main
-from adp_path_follower.core.driver import Driver
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import build, update
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.weights_file import decode, encode, read_weights, write_weights
+from adp_path_follower.core.learning.weights_file import decode, encode, read_weights, write_weights
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build, update
 
 PERIOD = 10_000_000  # [ns]
 SMALL = {"basis_degree": 4, "sample_count": 128, "samples_per_step": 128}

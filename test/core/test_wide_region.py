@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.control.far_from_path import WideRegion
+from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import pose_in_frame
-from adp_path_follower.core.path_library import circle, named_path
-from adp_path_follower.core.riccati import RiccatiSchedule, riccati_solution
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.wide_region import WideRegion
+from adp_path_follower.core.path.library import circle, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.simulation import simulate
 
 HALF_WIDTHS = np.array([1.0, 2.0, 0.8])

@@ -17,7 +17,6 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 import numpy as np
 import rclpy
-from adp_path_follower.ros.processes import NodeProcess, own_domain
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
@@ -25,7 +24,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from adp_path_follower.core.path_library import named_path
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.nodes.processes import NodeProcess, own_domain
 from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
 
 TIMEOUT = 30.0  # [s] for anything that must happen; a loaded machine is slow, not wrong

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import known_messages
-from adp_path_follower.ros.processes import NodeProcess
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 
 from adp_path_follower.bags.recovery.recover import recover
+from adp_path_follower.nodes.processes import NodeProcess
 
 _READY = 60.0  # [s]
 

@@ -13,7 +13,6 @@ import time
 import numpy as np
 import pytest
 import rclpy
-from adp_path_follower.ros.processes import own_domain
 from any_messages import PERIOD, odometry, paths
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -23,12 +22,13 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 
-from adp_path_follower.core import supervisor
-from adp_path_follower.core.odometry_check import OdometryCheck
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import flatten, setting_fields
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.supervisor import State
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.safety import supervisor
+from adp_path_follower.core.safety.odometry_check import OdometryCheck
+from adp_path_follower.core.safety.supervisor import State
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import flatten, setting_fields
+from adp_path_follower.nodes.processes import own_domain
 from adp_path_follower.ros.controller.node import PathFollowerNode
 from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
 

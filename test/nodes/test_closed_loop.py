@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adp_path_follower.ros.closed_loop import run_closed_loop
 from geometry_msgs.msg import TwistStamped
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
@@ -21,10 +20,11 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path import Path as FollowedPath
-from adp_path_follower.core.path_library import lissajous, named_path
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.path.library import lissajous, named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.nodes.closed_loop import run_closed_loop
 from adp_path_follower.ros.recorder.node import RUN_TOPICS
 from adp_path_follower.shared_files import config_file
 from adp_path_follower.simulation import PAPER_START, simulate

@@ -15,8 +15,8 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path as PathMessage
 from std_srvs.srv import Trigger
 
-from adp_path_follower.core.schema import setting_fields
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import setting_fields
 from adp_path_follower.ros.runtime.parameters import descriptor
 
 pytestmark = pytest.mark.nodes
@@ -130,7 +130,7 @@ def test_bad_odometry_stops_the_robot_until_it_is_good_again(drive, broken, caus
 
 
 def _broken_path(kind: str) -> PathMessage:
-    from adp_path_follower.core.path_library import named_path
+    from adp_path_follower.core.path.library import named_path
     from adp_path_follower.ros.runtime.conversions import poses_message
 
     message = poses_message(named_path("circle:1.0").points(0.1), "odom", 0)
@@ -275,7 +275,7 @@ def test_descriptors_come_from_the_settings():
 
 BROKEN_CONTROLLER = """
 import sys
-from adp_path_follower.core.follower import PathFollower
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.ros import controller_process
 
 step_at, steps = PathFollower.step_at, []

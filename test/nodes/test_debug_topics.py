@@ -8,10 +8,10 @@ from conftest import Drive
 from geometry_msgs.msg import Vector3Stamped
 from std_msgs.msg import Float64
 
-from adp_path_follower.core.follower import PathFollower
-from adp_path_follower.core.path_library import named_path
-from adp_path_follower.core.schema import build
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
 from adp_path_follower.ros.controller.telemetry import Telemetry
 from adp_path_follower.ros.runtime.conversions import stamp_nanoseconds
 

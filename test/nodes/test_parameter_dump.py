@@ -11,8 +11,8 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 from std_msgs.msg import String
 
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.ros.runtime.qos import ALL_CHANGES
 

@@ -16,8 +16,8 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.serialization import serialize_message
 
 from adp_path_follower.core.errors import AdpError, PathError
-from adp_path_follower.core.path_library import circle, lissajous
-from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.path.library import circle, lissajous
+from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.cdr import CdrError
 from adp_path_follower.ros import path_fitting
 from adp_path_follower.ros.controller.path_process import FittingProcess, reason, route_of_message

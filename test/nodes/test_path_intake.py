@@ -20,7 +20,7 @@ from rclpy.serialization import serialize_message
 
 from adp_path_follower.analysis.drive import drive_of
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.cdr import CdrError
 from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.messages.raw import is_empty, read_path, transformed

@@ -15,7 +15,6 @@ from typing import Any
 import kills
 import pytest
 import yaml
-from adp_path_follower.ros.processes import own_domain
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Goals, Odometry
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -25,7 +24,8 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.schema import build
+from adp_path_follower.core.settings.schema import build
+from adp_path_follower.nodes.processes import own_domain
 from adp_path_follower.ros.recorder.provenance import git_revision
 from adp_path_follower.ros.recorder.settings import RecorderSettings
 from adp_path_follower.ros.recorder.topics import topic_patterns

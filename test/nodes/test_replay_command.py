@@ -11,8 +11,6 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from adp_path_follower.ros.closed_loop import run_closed_loop
-from adp_path_follower.ros.republisher import recorded_messages
 from bag_messages import odometry, path_message, raw
 from commands import adp
 from geometry_msgs.msg import Twist, TwistStamped
@@ -21,14 +19,16 @@ from std_srvs.srv import Trigger
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.parameter_file import load_settings
-from adp_path_follower.core.path_library import lissajous
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.messages.configuration import configuration_text, parse_configuration
+from adp_path_follower.nodes.closed_loop import run_closed_loop
 from adp_path_follower.ros import republisher
 from adp_path_follower.simulation import PAPER_START
 from adp_path_follower.study.replay.closed_loop import rerun
 from adp_path_follower.study.replay.replay import replay
+from adp_path_follower.study.replay.republish import recorded_messages
 from adp_path_follower.study.replay.weight_comparison import compare_weights
 
 pytestmark = pytest.mark.nodes

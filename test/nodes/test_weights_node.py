@@ -15,9 +15,9 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.schema import build, update
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.weights_file import encode, read_weights
+from adp_path_follower.core.learning.weights_file import encode, read_weights
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build, update
 from adp_path_follower.study.replay.replay import replay
 from adp_path_follower.study.replay.weight_comparison import compare_weights
 from adp_path_follower.study.replay.write_bag import write_replay
@@ -181,8 +181,8 @@ def test_nothing_to_save_before_the_first_step(peer, start):
 @pytest.fixture
 def weights(tmp_path):
     """Return a weights file for the default settings along the circle."""
-    from adp_path_follower.core.driver import Driver
-    from adp_path_follower.core.path_library import named_path
+    from adp_path_follower.core.driving.driver import Driver
+    from adp_path_follower.core.path.library import named_path
 
     driver = Driver(build(Settings, {}))
     driver.follow(named_path("circle:0.7"))

@@ -11,13 +11,13 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from std_srvs.srv import Trigger
 
 from adp_path_follower import __version__
-from adp_path_follower.core.driver import Driver
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.driving.follower import FollowerOutput
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.odometry_check import OdometryProblem, stamp_problem
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.supervisor import State, Status, Supervisor, deviation
+from adp_path_follower.core.safety.odometry_check import OdometryProblem, stamp_problem
+from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, deviation
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import Commands
 from adp_path_follower.ros.controller.odometry_input import OdometryInput

@@ -8,8 +8,8 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
-from adp_path_follower.core.odometry_check import OdometryCheck, OdometryProblem
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.safety.odometry_check import OdometryCheck, OdometryProblem
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.ros.runtime.conversions import Measurement, MessageError, measurement_of
 
 

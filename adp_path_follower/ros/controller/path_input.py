@@ -11,7 +11,7 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
-from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.raw import is_empty
 from adp_path_follower.ros.controller.path_process import Fit
 from adp_path_follower.ros.controller.path_worker import PathAnswer, PathIntake, PathRequest

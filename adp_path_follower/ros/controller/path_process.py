@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 
 from adp_path_follower.core.errors import AdpError, PathError
-from adp_path_follower.core.route import Route
-from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.path.route import Route
+from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.cdr import CdrError
 from adp_path_follower.messages.raw import read_path, transformed
 from adp_path_follower.ros.runtime.stop_request import ending_signals
@@ -56,7 +56,7 @@ def route_of_message(raw: bytes, transform: tuple[float, ...], settings: PathSet
         CdrError: The bytes are no path.
 
     """
-    from adp_path_follower.core.path_preparation import prepare
+    from adp_path_follower.core.path.preparation import prepare
 
     poses = transformed(read_path(raw).poses, transform)
     route = prepare(poses[:, :2], settings, poses[:, 2])
@@ -205,7 +205,7 @@ def _serve(connection: socket.socket, inherited: socket.socket | None) -> None:
         inherited.close()  # else this process would never see that the node is gone
     for number in ending_signals():  # Ctrl-C is for the node, which ends this process
         signal.signal(number, signal.SIG_IGN)
-    importlib.import_module("adp_path_follower.core.path_preparation")  # before the first path
+    importlib.import_module("adp_path_follower.core.path.preparation")  # before the first path
     os.nice(_NICE)
     with contextlib.suppress(EOFError, OSError):
         while True:

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.route import Route
-from adp_path_follower.core.settings import PathSettings
+from adp_path_follower.core.path.route import Route
+from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.raw import frame_of
 from adp_path_follower.ros.controller.path_process import Fit, reason, route_of_message
 from adp_path_follower.ros.runtime.conversions import wrong_frame

@@ -9,8 +9,8 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.schema import update
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import update
 
 
 class SpeedLimitInput:

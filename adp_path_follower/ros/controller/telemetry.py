@@ -16,11 +16,11 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import ColorRGBA, Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from adp_path_follower.core.follower import FollowerOutput
+from adp_path_follower.core.driving.follower import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.route import Route
-from adp_path_follower.core.settings import ControllerSettings
-from adp_path_follower.core.supervisor import State, Status
+from adp_path_follower.core.path.route import Route
+from adp_path_follower.core.safety.supervisor import State, Status
+from adp_path_follower.core.settings.groups import ControllerSettings
 from adp_path_follower.ros.runtime.conversions import (
     array_message,
     make_header,

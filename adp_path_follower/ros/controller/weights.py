@@ -13,16 +13,16 @@ from rclpy.task import Future
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import Trigger
 
-from adp_path_follower.core.driver import Driver
+from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import expanded
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.weights_file import (
+from adp_path_follower.core.learning.weights_file import (
     SavedWeights,
     encode,
     read_weights,
     write_weights,
 )
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.ros.runtime.qos import LATCHED
 
 

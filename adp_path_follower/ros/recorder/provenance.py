@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from adp_path_follower import __version__
-from adp_path_follower.core.schema import flatten, yaml_text
+from adp_path_follower.core.settings.schema import flatten, yaml_text
 
 _REVISION = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
 

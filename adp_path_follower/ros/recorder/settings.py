@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from adp_path_follower.bags.bag_file import COMPRESSIONS
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.schema import setting
+from adp_path_follower.core.settings.schema import setting
 
 RUN_TOPICS = (
     "odom",

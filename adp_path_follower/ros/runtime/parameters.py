@@ -15,8 +15,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.parameter_file import own_parameters
-from adp_path_follower.core.schema import (
+from adp_path_follower.core.settings.parameter_file import own_parameters
+from adp_path_follower.core.settings.schema import (
     SettingField,
     build,
     checked,

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.core.driver import Driver
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.driving.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.schema import update
-from adp_path_follower.core.settings import Settings
-from adp_path_follower.core.weights_file import SavedWeights, decode
+from adp_path_follower.core.learning.weights_file import SavedWeights, decode
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import update
 from adp_path_follower.messages.configuration import (
     NO_STEP,
     Configuration,

@@ -8,11 +8,11 @@ from dataclasses import replace
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path import Path
-from adp_path_follower.core.path_preparation import prepare
-from adp_path_follower.core.route import Route, route_of
-from adp_path_follower.core.schema import setting_fields, update
-from adp_path_follower.core.settings import PathSettings, Settings
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.path.route import Route, route_of
+from adp_path_follower.core.settings.groups import PathSettings, Settings
+from adp_path_follower.core.settings.schema import setting_fields, update
 from adp_path_follower.messages.configuration import Configuration, parse_configuration
 from adp_path_follower.messages.raw import transformed
 

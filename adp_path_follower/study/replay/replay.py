@@ -9,10 +9,10 @@ import numpy as np
 
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Run
+from adp_path_follower.core.driving.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.settings import Settings
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.replay.recorded_driver import RecordedDriver, recorded_settings
 
 _NEIGHBOURS = np.arange(-10, 10)  # commands about the one that arrived with a step

@@ -1,0 +1,99 @@
+"""The vehicle's error in the frame of a virtual target, and how it moves (paper, section II).
+
+The state is zeta = [s, y, theta, phi]: the position error along the tangent [m] and the normal
+[m] of the path, the heading error [rad], and the compact path state phi = tanh(k2 s_p). Every
+function broadcasts over leading axes. v_des is the setting `desired_speed`, or what a speed profile
+has at each state's place.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adp_path_follower.core.geometry import (
+    FloatArray,
+    components,
+    contiguous,
+    cos,
+    numbers,
+    sin,
+    tanh,
+    wrap_angle,
+)
+from adp_path_follower.core.settings.groups import TargetSettings
+
+
+def tracking_error(pose: FloatArray, frame_pose: FloatArray) -> FloatArray:
+    """Return the error e = [s, y, theta] of a pose in the target's frame, shape (..., 3)."""
+    x, y, robot_heading = numbers(pose)
+    frame_x, frame_y, heading = numbers(frame_pose)
+    dx, dy = x - frame_x, y - frame_y
+    ahead, aside = cos(heading), sin(heading)
+    theta = wrap_angle(robot_heading - heading)
+    return components(ahead * dx + aside * dy, ahead * dy - aside * dx, theta)
+
+
+def target_speed(
+    error: FloatArray, target: TargetSettings, v_des: FloatArray | None = None
+) -> FloatArray:
+    """Return the virtual target's speed s_p' = v_des cos(theta) + k1 s [m/s], shape (...)."""
+    along, _, theta, *_ = numbers(error)
+    speed = target.desired_speed if v_des is None else v_des
+    return speed * cos(theta) + target.target_gain * along
+
+
+def path_state(arc_length: FloatArray, target: TargetSettings) -> FloatArray:
+    """Return the compact path state phi = tanh(k2 s_p), same shape."""
+    return tanh(target.path_state_gain * arc_length)
+
+
+def arc_length_of(phi: FloatArray, target: TargetSettings) -> FloatArray:
+    """Return the arc length s_p [m] of a compact path state, same shape."""
+    return np.asarray(np.arctanh(contiguous(phi)) / target.path_state_gain)
+
+
+def feedforward(
+    curvature: FloatArray, target: TargetSettings, v_des: FloatArray | None = None
+) -> FloatArray:
+    """Return the input that keeps a robot on the path, [v_ss, w_ss] = v_des [1, kappa]."""
+    speed = target.desired_speed if v_des is None else v_des
+    if not isinstance(curvature, float):
+        speed = np.full_like(curvature, speed)
+    return components(speed, speed * curvature)
+
+
+def drift(
+    zeta: FloatArray,
+    curvature: FloatArray,
+    target: TargetSettings,
+    v_des: FloatArray | None = None,
+) -> FloatArray:
+    """Return f of zeta' = f(zeta) + g(zeta) u, shape (..., 4).
+
+    Args:
+        zeta: States, shape (..., 4).
+        curvature: kappa [1/m] at each state's place on the path, shape (...).
+        target: k1, k2 and, unless it is given, v_des.
+        v_des: Speed along the path [m/s] at each state's place, shape (...).
+
+    """
+    s, y, theta, phi = numbers(zeta)
+    speed = target_speed(zeta, target, v_des)
+    along = target.desired_speed if v_des is None else v_des
+    # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
+    return components(
+        speed * (curvature * y - 1.0) + along * cos(theta),
+        along * sin(theta) - curvature * s * speed,
+        curvature * (along - speed),
+        target.path_state_gain * (1.0 - phi * phi) * speed,
+    )
+
+
+def input_matrix(zeta: FloatArray) -> FloatArray:
+    """Return g of zeta' = f(zeta) + g(zeta) u, shape (..., 4, 2)."""
+    theta = zeta[..., 2][()]
+    matrix = np.zeros((*theta.shape, 4, 2))
+    matrix[..., 0, 0] = np.cos(theta)
+    matrix[..., 1, 0] = np.sin(theta)
+    matrix[..., 2, 1] = 1.0
+    return matrix

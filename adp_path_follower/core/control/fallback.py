@@ -1,0 +1,110 @@
+"""The Riccati policy, and where it takes over from the learned one.
+
+Along the learned policy the learned value function changes by V' = delta - r, with the Bellman
+error delta and the running cost r. While delta <= c r with c < 1, V falls at least by (1 - c) r, so
+that a V that is not negative bounds the cost to come by V / (1 - c) (relaxed dynamic programming).
+Where that does not hold, or V is much smaller than the Riccati solution's value, what was learned
+is not to be trusted, and the Riccati policy drives.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adp_path_follower.core.basis import half_angle_state, make_basis
+from adp_path_follower.core.control.error_dynamics import input_matrix
+from adp_path_follower.core.control.policy import actor_input, saturate
+from adp_path_follower.core.control.riccati import RiccatiSchedule
+from adp_path_follower.core.geometry import FloatArray, clamped, where
+from adp_path_follower.core.settings.groups import Settings
+
+_MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
+_LEAST_VALUE = 0.5  # of the Riccati solution's value: the learned value likewise
+_NOTHING = 1e-12  # a cost in which rounding decides
+_PROBATION = 0.5  # [s] without doubt, before the learned policy drives again
+_CHANGE_TIME = 0.2  # [s] from one policy to the other
+
+
+class RiccatiPolicy:
+    """The policy of the value function q^T P q with q = [a, b, theta], the half-angle error."""
+
+    def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
+        """Take R, the limits and P along the path."""
+        self._limits = settings.limits
+        self._riccati = riccati
+        inverse = np.linalg.inv(settings.cost.input_cost_matrix())
+        self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
+        self._basis = make_basis("polynomial", 2, "half_angle")
+
+    def modified_input(
+        self, zeta: FloatArray, curvature: FloatArray, feedforward: FloatArray
+    ) -> FloatArray:
+        """Return u within the limits at states (..., 4) for [v_ss, w_ss], shape (..., 2)."""
+        input_gradient = np.matmul(self._basis.gradient(zeta), input_matrix(zeta))
+        matrix = self._riccati.matrix(curvature, feedforward[..., 0][()])
+        weights = self._basis.quadratic_weights(matrix)
+        wanted = actor_input(weights, input_gradient, self._input_cost_inverse)
+        return saturate(wanted, feedforward, self._limits)
+
+    def value(
+        self, zeta: FloatArray, curvature: FloatArray, v_des: FloatArray | None = None
+    ) -> FloatArray:
+        """Return q^T P q at states (..., 4), shape (...)."""
+        half_angle_error = half_angle_state(zeta)[..., :3]
+        matrix = self._riccati.matrix(curvature, v_des)
+        if half_angle_error.ndim == 1:
+            return np.asarray(half_angle_error @ matrix @ half_angle_error)[()]
+        pulled = np.matmul(matrix, half_angle_error[..., None])[..., 0]
+        return np.asarray((half_angle_error * pulled).sum(axis=-1))
+
+
+class Distrust:
+    """Decides, robot by robot, when the Riccati policy drives in place of the learned one.
+
+    A mixture of two policies, each of which leads to the path, can stand still where the two
+    cancel. So it is one or the other: once what was learned is doubted, the Riccati policy drives
+    until there has been no doubt for a while, and the change takes a moment either way.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a past."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next decision takes effect at once."""
+        self._share: FloatArray | None = None
+        self._trusted_for: FloatArray = np.array(math.inf)[()]
+
+    def share(self, doubtful: np.ndarray, dt: float) -> FloatArray:
+        """Return how much of the Riccati policy drives, from 0 to 1, dt [s] later, shape (...)."""
+        self._trusted_for = where(doubtful, 0.0, self._trusted_for + dt)
+        wanted = where(self._trusted_for < _PROBATION, 1.0, 0.0)
+        if self._share is None:
+            self._share = wanted
+        else:
+            step = dt / _CHANGE_TIME
+            self._share = self._share + clamped(wanted - self._share, -step, step)
+        return np.asarray(self._share)[()]
+
+
+def is_doubtful(
+    bellman_error: FloatArray,
+    running_cost: FloatArray,
+    value: FloatArray,
+    riccati_value: FloatArray,
+) -> np.ndarray:
+    """Return where the learned value function does not decrease as it must, shape (...).
+
+    Args:
+        bellman_error: delta of the learned policy, shape (...).
+        running_cost: r of the learned policy, shape (...).
+        value: The learned value, shape (...).
+        riccati_value: The Riccati solution's, shape (...).
+
+    """
+    rises = bellman_error > _MOST_ERROR * running_cost + _NOTHING
+    small: np.ndarray = value < _LEAST_VALUE * riccati_value - _NOTHING
+    doubtful: np.ndarray = rises | small
+    return doubtful

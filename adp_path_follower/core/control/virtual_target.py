@@ -1,0 +1,81 @@
+"""The virtual target that moves along the path."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.geometry import FloatArray, clamped
+from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.path.speed_profile import SpeedReference
+from adp_path_follower.core.settings.groups import TargetSettings
+
+_MOST_LEAD = 20.0  # [m] of the robot ahead of the target, or behind it, that sets its speed
+
+
+class VirtualTarget:
+    """The target that moves along the path by s_p' = v_des cos(theta) + k1 s.
+
+    Its speed stays below v_des + k1 20 m: one pose that cannot be must not send it away for good.
+
+    Attributes:
+        arc_length: s_p [m], shape (...).
+        v_des: v_des there [m/s], shape (...); None if it is `desired_speed` everywhere.
+
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        target: TargetSettings,
+        arc_length: ArrayLike = 0.0,
+        reference: SpeedReference | None = None,
+    ) -> None:
+        """Start at arc lengths [m] of the path, with `desired_speed` if there is no reference."""
+        self.arc_length = np.asarray(arc_length, dtype=float)
+        self.v_des: FloatArray | None = None
+        self._path, self._target, self._reference = path, target, reference
+        self._most_speed = target.desired_speed + target.target_gain * _MOST_LEAD
+        self._previous_error: FloatArray | None = None
+
+    def hold(self) -> None:
+        """Let no time pass in the next `move`."""
+        self._previous_error = None
+
+    def copy(
+        self, target: TargetSettings, reference: SpeedReference | None = None
+    ) -> VirtualTarget:
+        """Return a target at the same place that moves by other settings."""
+        other = VirtualTarget(self._path, target, self.arc_length, reference)
+        other._previous_error = self._previous_error
+        return other
+
+    def move(self, pose: FloatArray, dt: float) -> tuple[PathFrame, FloatArray]:
+        """Move over the past period dt [s]; return the frame there and the error e (..., 3).
+
+        Heun's method: s_p' is taken at both ends of the period, where the robot was observed.
+        """
+        if self.arc_length.shape != pose.shape[:-1]:  # one start for a batch
+            self.arc_length = np.broadcast_to(self.arc_length, pose.shape[:-1])
+        if self._previous_error is not None and dt > 0.0:
+            speed_before = self._speed(self.arc_length, self._previous_error)
+            guess = self.arc_length + dt * speed_before
+            error = error_dynamics.tracking_error(pose, self._path.frame(guess).pose)
+            speed_after = self._speed(guess, error)
+            self.arc_length = self.arc_length + 0.5 * dt * (speed_before + speed_after)
+            if self._reference is not None and self._reference.profile.stops:
+                self.arc_length = np.minimum(self.arc_length, self._path.length)
+        self.v_des = self._desired_speed(self.arc_length)
+        frame = self._path.frame(self.arc_length)
+        self._previous_error = error_dynamics.tracking_error(pose, frame.pose)
+        return frame, self._previous_error
+
+    def _desired_speed(self, arc_length: FloatArray) -> FloatArray | None:
+        return None if self._reference is None else self._reference.speed(arc_length)
+
+    def _speed(self, arc_length: FloatArray, error: FloatArray) -> FloatArray:
+        v_des = self._desired_speed(arc_length)
+        speed = error_dynamics.target_speed(error, self._target, v_des)
+        limited: FloatArray = clamped(speed, -self._most_speed, self._most_speed)
+        return limited

@@ -1,0 +1,5 @@
+"""Drives one robot: the command law, the follower, arrival, reversing.
+
+May import every other room of `core`.
+Never knows messages, bags or nodes.
+"""

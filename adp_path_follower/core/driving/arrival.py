@@ -1,0 +1,103 @@
+"""Whether a robot has come to the end of its path, or stands beside it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from adp_path_follower.core.control.error_dynamics import tracking_error
+from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import MotionSettings
+
+_STANDING = np.array([0.02, 0.1])  # [m/s, rad/s]: commands below bring nothing more
+_PATIENCE = 10.0  # [s] from the target's arrival until a robot that is not there is given up
+
+
+class Goal:
+    """The end of an open path; a closed one has none.
+
+    Attributes:
+        reached: Whether the robot is there, shape (...).
+        problem: Why one robot will not get there, empty as long as it may.
+
+    """
+
+    def __init__(self, path: Path, motion: MotionSettings, stops: bool) -> None:
+        """Take the end of the path, its tolerances and whether the robot brakes to it."""
+        self.reached: np.ndarray = np.zeros((), dtype=bool)
+        self.problem = ""
+        self._open, self._length = not path.closed, path.length
+        self._pose = path.frame(path.length).pose
+        self._motion, self._stops = motion, stops
+        self._waited = 0.0
+
+    def look(self, pose: FloatArray, output: ControlOutput, dt: float) -> None:
+        """Note where robots are, poses (..., 3), and what they were told, dt [s] after the last."""
+        if not self._open:
+            return
+        tolerance = self._motion.xy_goal_tolerance
+        arrived = output.arc_length >= self._length - (tolerance if self._stops else 0.0)
+        if not arrived.any():
+            self.reached, self._waited = arrived, 0.0
+            return
+        error = tracking_error(pose, self._pose)
+        distance, turn = np.hypot(error[..., 0], error[..., 1]), np.abs(error[..., 2])
+        near = (distance <= tolerance) & (turn <= self._motion.yaw_goal_tolerance)
+        if self._stops:
+            standing = (np.abs(output.command) <= _STANDING).all(axis=-1)
+            self.reached = arrived & near & standing
+        else:  # it drives on, so where it has been counts
+            self.reached = self.reached | (arrived & near)
+        self._waited += dt
+        if self.reached.ndim == 0 and not near and not self.reached:
+            passed = not self._stops and error[0] > tolerance
+            if passed or self._waited > _PATIENCE:
+                self.problem = self._miss(float(distance), float(turn))
+
+    def _miss(self, distance: float, turn: float) -> str:
+        """Return how far [m, rad] a robot is from the end that it will not come nearer to."""
+        remedy = "" if self._stops else "; with a finite max_linear_decel it brakes to the end"
+        return (
+            f"the robot is {distance:.3f} m and {turn:.3f} rad from the end of the path, "
+            f"beyond xy_goal_tolerance {self._motion.xy_goal_tolerance:g} or "
+            f"yaw_goal_tolerance {self._motion.yaw_goal_tolerance:g}{remedy}"
+        )
+
+
+_WINDOW = 200_000_000  # [ns] over which a robot at rest hardly moves
+
+
+_DISTANCE, _TURN = 0.005, 0.01  # [m], [rad] that it may, by its odometry's noise
+
+
+_LONGEST = 2_000_000_000  # [ns] to wait for a robot whose odometry never rests
+
+
+class Standstill:
+    """Waits for a robot to stand still."""
+
+    def __init__(self) -> None:
+        """Begin to wait."""
+        self._seen: deque[tuple[int, float, float, float]] = deque()
+        self._since: int | None = None
+
+    def reached(self, pose: FloatArray, time: int) -> bool:
+        """Return whether the robot rests, from its pose (3,) at a time [ns]."""
+        if self._since is None or time < self._seen[-1][0]:  # or a clock that has gone back
+            self._since = time
+            self._seen.clear()
+        x, y, theta = pose.tolist()
+        self._seen.append((time, x, y, theta))
+        while time - self._seen[0][0] > _WINDOW and time - self._seen[1][0] >= _WINDOW:
+            self._seen.popleft()
+        if time - self._since >= _LONGEST:
+            return True
+        return time - self._seen[0][0] >= _WINDOW and all(
+            math.hypot(x - old_x, y - old_y) < _DISTANCE
+            and abs(math.remainder(theta - old_theta, math.tau)) < _TURN
+            for _, old_x, old_y, old_theta in self._seen
+        )

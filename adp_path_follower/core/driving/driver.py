@@ -1,0 +1,264 @@
+"""One robot on the paths that come: what stays when path, settings or place change."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.control.actuation import Actuation
+from adp_path_follower.core.control.error_dynamics import tracking_error
+from adp_path_follower.core.driving.arrival import Standstill
+from adp_path_follower.core.driving.follower import FollowerOutput, PathFollower
+from adp_path_follower.core.driving.reversing import reversed_output, reversed_settings
+from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learning.weights_file import SavedWeights
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.route import Route, Segment, route_of
+from adp_path_follower.core.settings.groups import Settings
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of settings that is ready to be taken over."""
+
+    settings: Settings
+    follower: PathFollower | None
+
+
+class Driver:
+    """Drive one robot, between changes of path and settings; the node and replay share it.
+
+    A route's segments are followed one after the other: at the end of one the robot is told to
+    stop, and when it stands still the next begins. Every change takes effect with the next step,
+    so that a run is known from its steps and from the step that each change came after.
+
+    Attributes:
+        settings: All settings.
+        route: The route to follow, None without one.
+        learning_resets: How often learning has been reset.
+        restarts: How often following has begun anew from where the robot was then.
+        saved_weights: Weights of another run to start from, None without.
+        stops: How often the robot has been told to stop after a command.
+
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        saved_weights: SavedWeights | None = None,
+        tell: Callable[[str], object] = bool,
+    ) -> None:
+        """Begin without a path.
+
+        Args:
+            settings: All settings.
+            saved_weights: Weights of another run to start from, on paths for which they hold.
+            tell: Called with a sentence where they do not.
+
+        """
+        self.settings = settings
+        self.saved_weights, self._tell = saved_weights, tell
+        self.route: Route | None = None
+        self.learning_resets = 0
+        self.restarts = 0
+        self.stops = 0
+        self._actuation = Actuation()  # as the robot of the present segment is told
+        self._faces_back = False  # that robot, other than the real one
+        self._segment = 0
+        self._follower: PathFollower | None = None
+        self._learned: PathFollower | None = None  # the follower of the path before
+        self._output: FollowerOutput | None = None  # of the last step on the segment
+        self._standstill: Standstill | None = None  # between segments
+        self._to_learn = False  # from the last step
+
+    @property
+    def follower(self) -> PathFollower | None:
+        """Return the follower of the present segment, None before the first step on the route.
+
+        In reverse it is that of a robot which faces the other way (`reversing`).
+        """
+        return self._follower
+
+    @property
+    def segment(self) -> int:
+        """Return the number of the present segment."""
+        return self._segment
+
+    @property
+    def at_goal(self) -> bool:
+        """Return whether the robot is at the end of an open route."""
+        return self._at_segment_end and self._on_last_segment
+
+    @property
+    def _at_segment_end(self) -> bool:
+        return self._follower is not None and bool(self._follower.goal.reached)
+
+    @property
+    def _on_last_segment(self) -> bool:
+        return self.route is not None and self._segment == len(self.route.segments) - 1
+
+    @property
+    def _present(self) -> Segment:
+        assert self.route is not None  # the caller waits for one
+        return self.route.segments[self._segment]
+
+    def follow(self, path: Route | Path | None) -> None:
+        """Follow another route, or a path, from the next step on, or none."""
+        if path is not None and self._follower is not None:
+            self._learned = self._follower
+        self.route = None if path is None else route_of(path)
+        self._follower, self._segment, self._standstill = None, 0, None
+
+    def change_settings(self, settings: Settings) -> None:
+        """Go on with other settings.
+
+        Raises:
+            SettingsError: As `prepared`; the present ones stay.
+
+        """
+        self.take_over(self.prepared(settings))
+
+    def prepared(self, settings: Settings) -> Change:
+        """Return the change to other settings, which `take_over` makes at once.
+
+        Raises:
+            SettingsError: No policy can be found for them, or the robot is on a route in reverse
+                that they do not allow.
+
+        """
+        backwards = self.route is not None and any(
+            segment.reverse for segment in self.route.segments
+        )
+        if backwards and settings.limits.min_linear_vel >= 0.0:
+            raise SettingsError(
+                "setting 'min_linear_vel' is 0, but the present path is driven backwards: send "
+                "another path first"
+            )
+        present = self.settings
+        same_motion = dataclasses.replace(
+            settings, controller=present.controller, path=present.path
+        )
+        if self._follower is None or same_motion == present:
+            return Change(settings, self._follower)
+        return Change(settings, self._follower.reconfigured(self._of_segment(settings)))
+
+    def take_over(self, change: Change) -> None:
+        """Go on with a change that was prepared since the last step."""
+        self.settings, self._follower = change.settings, change.follower
+        if self._follower is not None:
+            self._follower.settings = self._of_segment(change.settings)
+
+    def reset_learning(self) -> None:
+        """Return to the initial weights of the settings, also where there were saved ones."""
+        self._learned = self.saved_weights = None
+        self._to_learn = False
+        if self._follower is not None:
+            self._follower.reset_learning()
+        self.learning_resets += 1
+
+    def restart(self) -> bool:
+        """Begin anew where the robot will be, which may have been carried; return if it had begun.
+
+        What was learned stays.
+        """
+        if self._follower is None:
+            return False
+        self._learned, self._follower = self._follower, None
+        self._segment, self._standstill = 0, None
+        self.restarts += 1
+        return True
+
+    def stopped(self) -> bool:
+        """Note that the robot was told to stop; return if it had been told anything else."""
+        if self._actuation.stopped:
+            return False
+        self._actuation.stop()
+        self.stops += 1
+        return True
+
+    def step(self, pose: FloatArray, time: int) -> FollowerOutput:
+        """Return the command of `command_for`, and learn from the step."""
+        output = self.command_for(pose, time)
+        self.learn()
+        return output
+
+    def learn(self) -> None:
+        """Learn from the last step, once, if learning was not reset meanwhile."""
+        if self._to_learn and self._follower is not None:
+            self._follower.learn()
+        self._to_learn = False
+
+    def command_for(self, pose: FloatArray, time: int) -> FollowerOutput:
+        """Return the command for a pose [x, y, theta] (3,) at a time [ns]; there must be a route.
+
+        Command, error and target pose are the robot's own, also in reverse. What the step teaches
+        waits for `learn`, so that the command can be sent before.
+
+        Raises:
+            SettingsError: No policy can be found for these settings on this path.
+
+        """
+        if self._follower is None:
+            self._begin(pose)
+        elif self._at_segment_end and not self._on_last_segment:
+            self._standstill = self._standstill or Standstill()
+            if not self._standstill.reached(pose, time):
+                return self._resting(pose)
+            self._learned, self._standstill = self._follower, None
+            self._begin_segment(self._segment + 1, 0.0)
+        assert self._follower is not None  # one has just begun, if there was none
+        facing = self._present.heading_of_path(pose)
+        self._output = self._follower.step_at(facing, time, learn=False)
+        self._to_learn = True
+        return self._own(self._output)
+
+    def _own(self, output: FollowerOutput) -> FollowerOutput:
+        return reversed_output(output) if self._present.reverse else output
+
+    def _resting(self, pose: FloatArray) -> FollowerOutput:
+        """Return zero velocity for a robot (3,) at the end of a segment, and how far it is off."""
+        last = self._output
+        assert last is not None  # the target has come to the end by a step
+        if not self._actuation.stopped:
+            self._actuation.stop()
+        facing = self._present.heading_of_path(pose)
+        return self._own(
+            dataclasses.replace(
+                last,
+                command=np.zeros(2),
+                modified_input=last.modified_input - last.command,
+                error=tracking_error(facing, last.target_pose),
+            )
+        )
+
+    def _of_segment(self, settings: Settings) -> Settings:
+        return reversed_settings(settings) if self._present.reverse else settings
+
+    def _begin(self, pose: FloatArray) -> None:
+        assert self.route is not None  # the caller waits for one
+        beginning = self.settings.controller.path_start == "beginning"
+        self._begin_segment(*((0, 0.0) if beginning else self.route.nearest(pose)))
+
+    def _begin_segment(self, number: int, arc_length: float) -> None:
+        self._segment = number
+        segment = self._present
+        if segment.reverse is not self._faces_back:
+            self._actuation.turn_round()
+            self._faces_back = segment.reverse
+        follower = PathFollower(
+            self._of_segment(self.settings), segment.path, arc_length, actuation=self._actuation
+        )
+        if self.saved_weights is not None:
+            problem = follower.start_from(self.saved_weights)
+            if problem:
+                self._tell(
+                    f"the weights of 'weights_file' are not used on this path: {problem}; learning "
+                    "starts from the initial weights"
+                )
+        if self._learned is not None:
+            follower.take_over(self._learned)
+        self._follower, self._learned = follower, None

@@ -1,0 +1,61 @@
+"""Bellman errors, their regressors and the excitation certificate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+
+
+@dataclass(frozen=True)
+class BellmanErrors:
+    """Bellman errors at N states.
+
+    Attributes:
+        error: delta, shape (..., N).
+        regressor: omega, shape (..., N, L).
+        normalization: p = sqrt(1 + omega^T omega), shape (..., N).
+
+    """
+
+    error: FloatArray
+    regressor: FloatArray
+    normalization: FloatArray
+
+    @property
+    def information(self) -> FloatArray:
+        """Return the rank condition's matrix, sum_j omega_j omega_j^T / p_j, shape (..., L, L)."""
+        scaled = self.regressor / self.normalization[..., None]
+        return np.asarray(np.matmul(np.swapaxes(scaled, -1, -2), self.regressor))
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Return sum_j omega_j delta_j / p_j, shape (..., L)."""
+        scaled = self.error / self.normalization
+        return np.asarray(np.matmul(scaled[..., None, :], self.regressor)[..., 0, :])
+
+    @property
+    def excitation(self) -> FloatArray:
+        """Return the smallest singular value of the rank condition's matrix, shape (...)."""
+        return excitation(self.information)
+
+
+def bellman_errors(
+    critic_weights: FloatArray, regressor: FloatArray, running_cost: FloatArray
+) -> BellmanErrors:
+    """Return the Bellman errors of regressors (..., N, L) with running costs (..., N)."""
+    error = running_cost + np.matmul(regressor, critic_weights[..., None])[..., 0]
+    normalization = np.sqrt(1.0 + np.einsum("...l,...l->...", regressor, regressor))
+    return BellmanErrors(error, regressor, normalization)
+
+
+def excitation(information: FloatArray) -> FloatArray:
+    """Return the certificate of excitation: the smallest singular value of the information.
+
+    The matrix is symmetric and positive semidefinite, so this is its smallest eigenvalue; it is
+    above zero where the samples determine every weight (the paper's rank condition).
+    """
+    smallest = np.linalg.eigvalsh(information)[..., 0]
+    return np.asarray(np.maximum(smallest, 0.0))  # rounding may pass zero

@@ -1,0 +1,95 @@
+"""The interface of a learner, and the weights and the bound that every learner starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from adp_path_follower.core.control.riccati import RiccatiSchedule
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learning.bellman import BellmanErrors
+from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
+from adp_path_follower.core.settings.learning import LearningSettings
+
+
+class Evidence(Protocol):
+    """What the samples say of the weights."""
+
+    @property
+    def excitation(self) -> FloatArray | float:
+        """Return the certificate of excitation, shape (...)."""
+
+
+class Learner(Protocol):
+    """Learns the value function, and the policy from it."""
+
+    @property
+    def problem(self) -> str:
+        """Return why the safe policy has taken over, empty if it has not."""
+
+    @property
+    def sampled(self) -> Evidence:
+        """Return what the samples say of the present weights."""
+
+    def local(self, arc_length: FloatArray) -> LocalWeights:
+        """Return the weights at arc lengths [m] of shape (...)."""
+
+    def learn(self, measured: BellmanErrors, arc_length: FloatArray, dt: float) -> None:
+        """Learn for dt [s], given the Bellman error at the measured state."""
+
+    def settle(
+        self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
+    ) -> bool:
+        """Learn with the robot at rest; return whether the weights settled.
+
+        Args:
+            measure: Gives the Bellman error of the present weights where the robot is.
+            arc_length: Where the targets are [m], any shape.
+            distance: How far ahead of them is learned, where weights change along the path [m].
+
+        """
+
+    def take_over(self, previous: Learner) -> None:
+        """Take over what another learner has learned, as far as it holds for this one."""
+
+    def learned(self) -> LearnedWeights:
+        """Return what was learned, to go on from in another run."""
+
+    def start_from(self, learned: LearnedWeights) -> str:
+        """Go on from what another run has learned; return why it does not hold here, if so."""
+
+    def reset(self, where: np.ndarray | None = None) -> None:
+        """Return to the initial weights, of the runs of a batch where (...) is true."""
+
+
+def actor_bound(learning: LearningSettings, riccati: RiccatiSchedule) -> float:
+    """Return the norm that the actor's projection keeps Wa below.
+
+    The projection never comes between the robot and its safe policy, the Riccati solution.
+    """
+    safe = learning.value_basis.quadratic_weights(riccati.table)
+    return max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
+
+
+def initial_weights(
+    learning: LearningSettings,
+    riccati: RiccatiSchedule,
+    curvature: FloatArray,
+    speed: FloatArray | None = None,
+) -> Weights:
+    """Return the weights to start from at curvatures [1/m] and speeds [m/s] (...), (..., L) each.
+
+    The speed matters where it varies along the path.
+    """
+    size = len(learning.value_basis.labels)
+    if learning.initial_weights == "riccati":
+        weights = learning.value_basis.quadratic_weights(riccati.matrix(curvature, speed))
+        return Weights(weights, weights.copy())
+
+    def listed(values: tuple[float, ...]) -> FloatArray:
+        padded = np.array([*values, *[0.0] * (size - len(values))])
+        return np.broadcast_to(padded, (*curvature.shape, size)).copy()
+
+    return Weights(listed(learning.initial_critic_weights), listed(learning.initial_actor_weights))

@@ -1,0 +1,143 @@
+"""Critic and actor update laws (paper, section III), integrated for any control period.
+
+With the regressors held over one period, the critic's law is linear,
+
+    Wc' = -(A Wc + b),   A = eta_c1 omega omega^T / p + eta_c2 / N sum_j omega_j omega_j^T / p_j,
+
+with a symmetric positive semidefinite A. Its exact solution contracts each eigenvector by
+exp(-lambda dt). The step here contracts by 1 / (1 + z + z^2 / 2) with z = lambda dt: equal to
+the exponential to second order, and between it and 1 for every z, so a step never overshoots the
+exact solution and never diverges, however long the period or large the gain. It needs one
+symmetric solve. The actor's law is a first-order lag, solved exactly.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learning.bellman import BellmanErrors
+from adp_path_follower.core.learning.weights import Weights
+from adp_path_follower.core.settings.learning import LearningSettings
+
+_PROJECTION_LAYER = 0.1  # thickness of the smooth projection's layer, relative to the bound
+_RIDGE = 1e-9  # of least squares, on a unit diagonal
+
+
+def update_weights(
+    weights: Weights,
+    measured: BellmanErrors,
+    sampled: BellmanErrors,
+    learning: LearningSettings,
+    dt: float,
+) -> Weights:
+    """Return the weights after one period.
+
+    Args:
+        weights: Weights at the start of the period.
+        measured: Bellman error of these weights at the measured state.
+        sampled: Bellman errors of these weights at the sampled states.
+        learning: Gains and bounds.
+        dt: Period [s].
+
+    """
+    gain_measured = learning.critic_gain_measured
+    gain_sampled = learning.critic_gain_sampled / sampled.error.shape[-1]
+    rate = gain_measured * measured.information + gain_sampled * sampled.information
+    descent = gain_measured * measured.gradient + gain_sampled * sampled.gradient
+    critic = weights.critic - relax(rate, descent, dt)
+    gain, bound = learning.actor_gain, learning.actor_weight_bound
+    return Weights(critic, follow(weights.actor, critic, gain, bound, dt))
+
+
+def least_squares(weights: Weights, sampled: BellmanErrors) -> FloatArray:
+    """Return the critic weights with the least normalised Bellman errors, shape (..., L).
+
+    The policy is the actor's, held; where the samples determine a combination of weights not at
+    all, it stays near zero.
+    """
+    scaled = sampled.regressor / sampled.normalization[..., None]
+    constant = sampled.error - np.einsum("...nl,...l->...n", sampled.regressor, weights.critic)
+    matrix = np.matmul(np.swapaxes(scaled, -1, -2), scaled)
+    vector = np.einsum("...nl,...n->...l", scaled, constant / sampled.normalization)
+    size = np.einsum("...ll->...l", matrix)
+    matrix = matrix + _RIDGE * (size + 1e-12)[..., None] * np.eye(matrix.shape[-1])
+    return np.asarray(_solve(matrix, -vector))
+
+
+def follow(
+    actor_weights: FloatArray, critic_weights: FloatArray, gain: float, bound: float, dt: float
+) -> FloatArray:
+    """Return the actor weights after following the critic, shape (..., L).
+
+    Args:
+        actor_weights: Wa, shape (..., L).
+        critic_weights: Wc, shape (..., L).
+        gain: eta_a [1/s].
+        bound: Norm that the projection keeps Wa below.
+        dt: Time [s].
+
+    """
+    step = critic_weights - actor_weights
+    step *= -math.expm1(-gain * dt)
+    actor = actor_weights + step
+    # Inside the ball the projection changes nothing; all weights together are a quicker answer.
+    if all(np.vdot(weights, weights) <= bound**2 for weights in (actor_weights, actor)):
+        return actor
+    if all((weights**2).sum(-1).max() <= bound**2 for weights in (actor_weights, actor)):
+        return actor
+    return bound_norm(actor_weights + project(step, actor_weights, bound), bound)
+
+
+def surely_finite(actor_weights: FloatArray, critic_weights: FloatArray) -> bool:
+    """Return True only if all weights of two arrays (..., L) are finite: one product tells."""
+    return math.isfinite(float(np.vdot(actor_weights, critic_weights)))
+
+
+def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:
+    """Return how far W' = -(A W + b) moves W down in one step, shape (..., L).
+
+    Args:
+        rate: A [1/s], symmetric positive semidefinite, shape (..., L, L).
+        descent: A W + b at the start of the step, shape (..., L).
+        dt: Step [s].
+
+    """
+    # The step is dt N(z) descent with N(z) = (1 - 1 / (1 + z + z^2/2)) / z = Re + Im of
+    # 1 / (z + 1 - i): one complex solve, without squaring the matrix and its condition.
+    matrix = dt * rate + (1.0 - 1.0j) * np.eye(rate.shape[-1])
+    solution = _solve(matrix, descent)
+    return np.asarray(dt * (solution.real + solution.imag))
+
+
+def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return the solutions of linear systems (..., L, L), NaN of those that have none."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, vector[..., None])[..., 0])
+    except np.linalg.LinAlgError:  # the numbers of a robot that is lost: it must not stop others
+        if matrix.ndim == 2:
+            return np.full_like(vector, np.nan, dtype=matrix.dtype)
+        return np.stack([_solve(*pair) for pair in zip(matrix, vector, strict=True)])
+
+
+def project(step: FloatArray, actor_weights: FloatArray, bound: float) -> FloatArray:
+    """Return the step after the smooth projection proj{.}, shape (..., L).
+
+    Inside the ball ‖Wa‖ <= bound, and for steps that lead inwards, nothing changes. In a layer
+    around it the outward part of the step fades out, and is gone at its outer edge.
+    """
+    squared_norm = np.einsum("...l,...l->...", actor_weights, actor_weights)
+    outer = (1.0 + _PROJECTION_LAYER) * bound
+    depth = np.clip((squared_norm - bound**2) / (outer**2 - bound**2), 0.0, 1.0)
+    outward = np.einsum("...l,...l->...", actor_weights, step)
+    removed = depth * np.maximum(outward, 0.0) / np.maximum(squared_norm, 1e-300)
+    return np.asarray(step - removed[..., None] * actor_weights)
+
+
+def bound_norm(actor_weights: FloatArray, bound: float) -> FloatArray:
+    """Return weights within the projection's outer edge, which a finite step can pass."""
+    norm = np.linalg.norm(actor_weights, axis=-1, keepdims=True)
+    outer = (1.0 + _PROJECTION_LAYER) * bound
+    return np.asarray(actor_weights * np.minimum(1.0, outer / np.maximum(norm, 1e-300)))

@@ -1,0 +1,166 @@
+"""Built-in paths and path files: one name for a path everywhere.
+
+A path is named ``lissajous`` (the paper's figure eight), ``line``, ``circle:KAPPA`` with the
+signed curvature in 1/m, or by a CSV or YAML file.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from adp_path_follower.core.errors import FileError, PathError
+from adp_path_follower.core.files import expanded, read_csv_columns, read_yaml
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.points import distinct_points, joined
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.settings.groups import PathSettings
+
+PATH_HELP = (
+    "lissajous (the paper's figure eight), line, circle:KAPPA (curvature in 1/m, positive to the "
+    "left), or a file: CSV with columns x,y or YAML with 'points: [[x, y], ...]'"
+)
+_LINE_LENGTH = 100.0  # [m]
+
+
+def named_path(name: str, settings: PathSettings | None = None) -> Path:
+    """Return the path of this name; see the module's docstring.
+
+    Args:
+        name: Name or file.
+        settings: What the points of a file are prepared with, as the controller does; the defaults
+            if None. A path that turns back is refused here: only the controller drives backwards.
+
+    Raises:
+        PathError: No such name, or points that make no path.
+        FileError: A file that is missing or of another format.
+
+    """
+    if name == "lissajous":
+        return lissajous()
+    if name == "line":
+        return Path.from_points([[0.0, 0.0], [_LINE_LENGTH, 0.0]], closed=False)
+    if name.startswith("circle:"):
+        return circle(_curvature(name))
+    if is_path_file(name):
+        return path_from_file(expanded(name), settings)
+    raise PathError(f"unknown path '{name}': use {PATH_HELP}")
+
+
+def lissajous() -> Path:
+    """Return the paper's figure eight x = 10 sin p, y = 15 sin 2p by arc length (130.975 m)."""
+    return Path.from_curve(
+        lambda p: np.stack([10.0 * np.sin(p), 15.0 * np.sin(2.0 * p)], axis=-1),
+        lambda p: np.stack([10.0 * np.cos(p), 30.0 * np.cos(2.0 * p)], axis=-1),
+        np.linspace(0.0, 2.0 * math.pi, 401),
+        closed=True,
+    )
+
+
+def _curvature(name: str) -> float:
+    """Return the curvature [1/m] of a name like "circle:0.5"."""
+    text = name.removeprefix("circle:")
+    try:
+        curvature = float(text)
+    except ValueError:
+        curvature = math.nan
+    if not 1e-4 <= abs(curvature) <= 1e4:
+        raise PathError(
+            f"circle has curvature '{text}', but must have a number between 1e-4 and 1e4 1/m, "
+            "negative for a turn to the right, as in circle:0.5"
+        )
+    return curvature
+
+
+def circle(curvature: float) -> Path:
+    """Return the circle of a signed curvature [1/m] that leaves the origin along +x."""
+    return Path.from_curve(
+        lambda s: (
+            np.stack([np.sin(curvature * s), 1.0 - np.cos(curvature * s)], axis=-1) / curvature
+        ),
+        lambda s: np.stack([np.cos(curvature * s), np.sin(curvature * s)], axis=-1),
+        np.linspace(0.0, 2.0 * math.pi / abs(curvature), 101),
+        closed=True,
+    )
+
+
+def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path:
+    """Return the path along the points of a CSV or YAML file.
+
+    Raises:
+        FileError: The file is missing or of another format.
+        PathError: Its points make no path.
+
+    """
+    points, closed = read_points(file)
+    try:
+        return path_through(points, closed, settings)
+    except PathError as error:
+        raise PathError(f"path file {file}: {error}") from None
+
+
+def path_through(
+    points: FloatArray, closed: bool | None, settings: PathSettings | None = None
+) -> Path:
+    """Return the path along the points of a file, as `read_points` gives them.
+
+    Raises:
+        PathError: The points make no path.
+
+    """
+    forwards = replace(settings or PathSettings(), allow_reversing=False)
+    return prepare(points, forwards, closed=closed).segments[0].path
+
+
+def named_points(name: str, spacing: float) -> FloatArray:
+    """Return poses to publish for a name: x, y, heading, shape (N, 3).
+
+    Those of a built-in path are at most `spacing` [m] apart. Those of a file are its points,
+    without headings (NaN): whoever follows them rounds their corners.
+
+    Raises:
+        PathError: No such name, or points that make no path.
+        FileError: A file that is missing or of another format.
+
+    """
+    if not is_path_file(name):
+        return named_path(name).points(spacing)
+    file = expanded(name)
+    points, closed = read_points(file)
+    try:
+        distinct, _ = distinct_points(points)
+        distinct, _ = joined(distinct, closed)
+    except PathError as error:
+        raise PathError(f"path file {file}: {error}") from None
+    return np.column_stack([distinct, np.full(len(distinct), np.nan)])
+
+
+def is_path_file(name: str) -> bool:
+    """Return whether a name is that of a path file."""
+    return FilePath(name).suffix.lower() in (".csv", ".yaml", ".yml")
+
+
+def read_points(file: FilePath) -> tuple[FloatArray, bool | None]:
+    """Return the points of a path file, shape (N, 2), and whether it says that it is closed.
+
+    Raises:
+        FileError: The file is missing or of another format.
+
+    """
+    if file.suffix.lower() == ".csv":
+        return read_csv_columns(file, ("x", "y")), None
+    content = read_yaml(file)
+    if not isinstance(content, dict) or "points" not in content:
+        raise FileError(f"path file {file} has no 'points: [[x, y], ...]'")
+    closed = content.get("closed")
+    if closed is not None and not isinstance(closed, bool):
+        raise FileError(f"path file {file} has 'closed: {closed}', but must be true or false")
+    try:
+        points = np.asarray(content["points"], dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise FileError(f"path file {file} has 'points' that are not [x, y] pairs") from None
+    return points[:, :2] if points.ndim == 2 else points, closed

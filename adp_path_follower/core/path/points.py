@@ -1,0 +1,95 @@
+"""The points of a path as given, before a curve is laid through them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.core.errors import PathError
+from adp_path_follower.core.geometry import FloatArray
+
+if TYPE_CHECKING:
+    # Imported where paths are made: it takes as long as rclpy, and the controller's start does not
+    # wait for it, as another process makes its paths.
+    from scipy.interpolate import CubicSpline
+
+MAX_POINTS = 1_000_000
+_COINCIDENCE = 1e-6  # [m]: points nearer than this to the one before count once
+_CLOSING_GAP = 1e-3  # [m]: a path whose ends are nearer than this is closed
+
+
+def chord_spline(points: FloatArray, closed: bool) -> tuple[CubicSpline, FloatArray]:
+    """Return the C2 spline through points (N, 2), and their parameters: the chord lengths, (N,).
+
+    The points of a closed path end with the first one.
+    """
+    from scipy.interpolate import CubicSpline
+
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    parameter = np.concatenate([[0.0], np.cumsum(chords)])
+    ends_condition = "periodic" if closed else "not-a-knot" if len(points) > 3 else "natural"
+    return CubicSpline(parameter, points, bc_type=ends_condition), parameter
+
+
+def joined(points: FloatArray, closed: bool | None) -> tuple[FloatArray, bool]:
+    """Return points (N, 2) that end with the first one if the path is closed, and whether it is.
+
+    Args:
+        points: Without coinciding neighbours.
+        closed: Whether the last joins the first; None asks whether they coincide (1 mm).
+
+    Raises:
+        PathError: A closed path of fewer than three points.
+
+    """
+    meet = len(points) > 2 and math.dist(points[0], points[-1]) <= _CLOSING_GAP
+    if closed is None:
+        closed = meet and len(points) > 3
+    if closed:
+        ends = points[:-1] if meet else points
+        points = np.vstack([ends, ends[:1]])
+        if len(points) < 4:
+            raise PathError("a closed path needs at least 3 distinct points: add points")
+    return points, closed
+
+
+def distinct_points(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
+    """Return the points without coinciding neighbours, shape (N, 2), and the index of each, (N,).
+
+    Raises:
+        PathError: See `Path.from_points`.
+
+    """
+    try:
+        array = np.asarray(points, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise PathError("path has points that are not pairs of numbers x, y") from None
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise PathError(f"path has shape {array.shape}, but must be a list of x, y")
+    if len(array) > MAX_POINTS:
+        raise PathError(f"path has {len(array)} points, but at most {MAX_POINTS} are allowed")
+    bad = ~np.isfinite(array).all(axis=1)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise PathError(f"path point {first} is {array[first].tolist()}, but must be finite")
+    if np.abs(array).max(initial=0.0) > 1e8:
+        raise PathError("path has a coordinate above 1e8 m: check its units")
+    kept = np.flatnonzero(_moving(array))
+    if len(kept) < 2:
+        raise PathError(f"path has {len(kept)} distinct points, but needs at least 2")
+    return np.ascontiguousarray(array[kept]), kept
+
+
+def _moving(points: FloatArray) -> np.ndarray:
+    """Return which points are away from the last one that counts, shape (N,)."""
+    moving = np.ones(len(points), dtype=bool)
+    near = np.linalg.norm(np.diff(points, axis=0), axis=1) <= _COINCIDENCE
+    last = 0
+    for index in np.flatnonzero(near) + 1:
+        if moving[index - 1]:
+            last = int(index) - 1
+        moving[index] = math.dist(points[index], points[last]) > _COINCIDENCE
+    return moving

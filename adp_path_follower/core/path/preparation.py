@@ -1,0 +1,317 @@
+"""From poses as they come to a route that can be driven.
+
+Where the spline through the points is fair, and stays within `path_tolerance` of their polyline,
+it is the path. Otherwise the polyline is smoothed within the tolerance (`smoothing`). Where the
+motion turns by more than 135 degrees within the tolerance (a cusp), and where the orientations say
+that the robot changes between driving forwards and backwards, the route is cut.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adp_path_follower.core.errors import PathError
+from adp_path_follower.core.geometry import FloatArray, contiguous
+from adp_path_follower.core.path.curve import Path, TurningBackError
+from adp_path_follower.core.path.points import chord_spline, distinct_points, joined
+from adp_path_follower.core.path.route import Route, Segment
+from adp_path_follower.core.path.smoothing import Interpolation, is_fair, smoothed
+from adp_path_follower.core.settings.groups import PathSettings
+
+_CUSP = math.cos(math.radians(135.0))  # of the turn from which on the motion is cut
+_SHORT = 1.5  # times the tolerance: a chord that may hide the tip of a cusp
+_DECIDED = 0.5  # cosine between orientation and motion from which on it says forwards, or backwards
+_SAID = {"auto": None, "open": False, "closed": True}
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """Distinct positions of a message.
+
+    Attributes:
+        points: Shape (N, 2) [m].
+        headings: Shape (N,) [rad], NaN where a pose says none; None if no pose does.
+        index: Number of each in the message, (N,).
+
+    """
+
+    points: FloatArray
+    headings: FloatArray | None
+    index: np.ndarray
+
+    def place(self, number: int) -> str:
+        """Return which pose it is, and where."""
+        x, y = self.points[number]
+        return f"pose {self.index[number]} at ({x:.2f}, {y:.2f})"
+
+
+def prepare(
+    points: ArrayLike,
+    settings: PathSettings,
+    headings: ArrayLike | None = None,
+    closed: bool | None = None,
+) -> Route:
+    """Return the route along poses.
+
+    Args:
+        points: Positions in order, shape (N, 2) [m].
+        settings: Give tolerance, whether the path is closed, and whether it may be reversed.
+        headings: Orientation of each pose, shape (N,) [rad]; NaN for one that has none. All the
+            same zero but for the ends, as of publishers that leave the orientation out, counts as
+            none.
+        closed: Whether the path is closed, where its source says so; None leaves it to the
+            settings.
+
+    Raises:
+        PathError: Points that make no path, or a route that is driven backwards without
+            `allow_reversing`; the message names the place.
+
+    """
+    positions, index = distinct_points(points)
+    poses = _Poses(positions, _useful_headings(headings, len(np.asarray(points)), index), index)
+    said = _SAID[settings.path_closed] if closed is None else closed
+    if settings.path_tolerance == 0.0 and not settings.allow_reversing:
+        return Route((Segment(Path.from_points(points, said)),))
+    unfit = None
+    if not _against_motion(poses).any():
+        unfit = _interpolation(positions, said)
+        path = _exact(unfit, settings.path_tolerance)
+        if path is not None:
+            return Route((Segment(path),))
+    return _cut_route(poses, said, settings, unfit)
+
+
+def _useful_headings(
+    headings: ArrayLike | None, count: int, index: np.ndarray
+) -> FloatArray | None:
+    """Return the headings of distinct points, None where they say nothing."""
+    if headings is None:
+        return None
+    try:
+        array = np.asarray(headings, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise PathError("path has headings that are not numbers") from None
+    if array.shape != (count,):
+        raise PathError(f"path has headings of shape {array.shape}, but must have {count} of them")
+    array = np.where(np.isfinite(array), array, np.nan)
+    inner = array[1:-1] if count > 2 else array
+    if not np.nan_to_num(inner).any() or np.isnan(array).all():
+        return None
+    return np.asarray(array[index])
+
+
+def _against_motion(poses: _Poses) -> np.ndarray:
+    """Return for each chord whether the orientations at its ends point backwards, (N - 1,)."""
+    if poses.headings is None:
+        return np.zeros(len(poses.points) - 1, dtype=bool)
+    chords = np.diff(poses.points, axis=0)
+    motion = np.arctan2(*contiguous(chords.T[::-1]))
+    ends = [np.cos(poses.headings[:-1] - motion), np.cos(poses.headings[1:] - motion)]
+    return np.asarray((ends[0] < -_DECIDED) & (ends[1] < -_DECIDED))
+
+
+def _interpolation(points: FloatArray, said: bool | None) -> Interpolation:
+    points, closed = joined(points, said)
+    return Interpolation(*chord_spline(points, closed), points, closed)
+
+
+def _along(through: Interpolation) -> Path:
+    piece = 0.25 * float(np.median(np.diff(through.parameter)))
+    return Path.along(through.spline, through.parameter, through.closed, piece)
+
+
+def _exact(through: Interpolation, tolerance: float) -> Path | None:
+    """Return the path through the points if it is smooth and near their polyline, else None."""
+    if tolerance > 0.0 and not is_fair(through, tolerance):
+        return None
+    try:
+        return _along(through)
+    except TurningBackError:
+        return None
+
+
+def _cut_route(
+    poses: _Poses, said: bool | None, settings: PathSettings, unfit: Interpolation | None
+) -> Route:
+    """Return the route of poses that need smoothing, cuts or driving backwards.
+
+    Args:
+        poses: The poses.
+        said: Whether the path is closed, where somebody says so.
+        settings: What to prepare it with.
+        unfit: The spline through all of them, if it is known not to be the path.
+
+    Raises:
+        PathError: It needs `allow_reversing`, or cannot be smoothed.
+
+    """
+    tolerance = settings.path_tolerance
+    _, closed = joined(poses.points, said)
+    kept = _thinned(poses.points, tolerance)
+    cusps = _cusps(poses.points[kept], tolerance)
+    directions = _directions(poses, kept, cusps)
+    changes = np.flatnonzero(np.diff(directions) != 0) + 1
+    if closed and said is None and len(kept) > 3:
+        around = np.diff(poses.points[kept], axis=0)[[-1, 0]]
+        closed = bool(_cosines(around)[0] > _CUSP)  # else it comes back to its beginning, and ends
+    cuts = sorted(set(cusps.tolist()) | set(changes.tolist()))
+    tips = [_tip(poses.points, kept, cut) for cut in cuts]
+    if not settings.allow_reversing:
+        _refuse_reversing(poses, tips, set(cusps.tolist()) & set(cuts), cuts, directions)
+    if not cuts:
+        path = _fitted(poses, closed if said is None else said, tolerance, unfit)
+        return Route((Segment(path, bool(directions[0] < 0)),))
+    if said:
+        raise PathError(
+            f"path is said to be closed, but turns back at {poses.place(tips[0])}: a closed path "
+            "cannot; leave path_closed at auto"
+        )
+    bounds = [0, *tips, len(poses.points) - 1]
+    segments = []
+    for number, (start, stop) in enumerate(itertools.pairwise(bounds)):
+        if stop <= start:
+            continue
+        part = _Poses(poses.points[start : stop + 1], None, poses.index[start : stop + 1])
+        direction = directions[0 if number == 0 else cuts[number - 1]]
+        segments.append(Segment(_fitted(part, False, tolerance), bool(direction < 0)))
+    return Route(tuple(segments))
+
+
+def _thinned(points: FloatArray, distance: float) -> np.ndarray:
+    """Return points that are each a distance [m] away from the one before, by their numbers.
+
+    Noise of less than the distance turns no motion back. The last point is always one of them.
+    """
+    chords = np.hypot(*np.diff(points, axis=0).T)
+    if chords.min() >= distance:
+        return np.arange(len(points))
+    kept = [0]
+    x, y = points[0].tolist()
+    squared = distance * distance
+    for number, (next_x, next_y) in enumerate(points.tolist()):
+        if (next_x - x) ** 2 + (next_y - y) ** 2 >= squared:
+            kept.append(number)
+            x, y = next_x, next_y
+    last = len(points) - 1
+    if kept[-1] != last:
+        # The rest is too short to say where it leads, unless it is all there is.
+        kept = [*(kept[:-1] if len(kept) > 1 else kept), last]
+    return np.array(kept)
+
+
+def _cosines(chords: FloatArray) -> FloatArray:
+    """Return the cosine of the turn between each chord and the next, (K - 1,)."""
+    lengths = np.maximum(np.hypot(*chords.T), 1e-12)
+    return np.asarray((chords[:-1] * chords[1:]).sum(axis=1) / (lengths[:-1] * lengths[1:]))
+
+
+def _cusps(points: FloatArray, tolerance: float) -> np.ndarray:
+    """Return at which of the thinned points (K, 2) the motion turns back.
+
+    Also where it does so by two turns in a row, of which the tip between has been thinned out.
+    """
+    chords = np.diff(points, axis=0)
+    at_once = np.append(_cosines(chords) < _CUSP, False)
+    in_two = np.zeros(len(at_once), dtype=bool)
+    if len(chords) > 2:
+        short = np.hypot(*chords[1:-1].T) < _SHORT * tolerance
+        lengths = np.maximum(np.hypot(*chords.T), 1e-12)
+        along = (chords[:-2] * chords[2:]).sum(axis=1) / (lengths[:-2] * lengths[2:])
+        in_two[:-2] = short & (along < _CUSP)
+    for number in np.flatnonzero(in_two).tolist():
+        if not at_once[max(number - 1, 0) : number + 2].any():
+            at_once[number] = True
+    return np.flatnonzero(at_once) + 1
+
+
+def _directions(poses: _Poses, kept: np.ndarray, cusps: np.ndarray) -> np.ndarray:
+    """Return for each chord between kept points 1 for driving forwards, -1 for backwards.
+
+    The orientations decide; where they do not say, the direction stays until the motion turns back.
+    """
+    chords = np.diff(poses.points[kept], axis=0)
+    decided = np.zeros(len(chords))
+    if poses.headings is not None:
+        motion = np.arctan2(*contiguous(chords.T[::-1]))
+        # Of all poses from one kept point to the next, both included.
+        sums = np.zeros((2, len(poses.points) + 1))
+        known = np.isfinite(poses.headings)
+        np.cumsum(np.where(known, np.cos(poses.headings), 0.0), out=sums[0, 1:])
+        np.cumsum(np.where(known, np.sin(poses.headings), 0.0), out=sums[1, 1:])
+        count = np.concatenate([[0], np.cumsum(known)])
+        first, last = kept[:-1], kept[1:] + 1
+        cos, sin = (sums[:, last] - sums[:, first]) / np.maximum(count[last] - count[first], 1)
+        agreement = cos * np.cos(motion) + sin * np.sin(motion)
+        decided = np.where(np.abs(agreement) > _DECIDED, np.sign(agreement), 0.0)
+    flips = np.ones(len(chords))
+    flips[cusps] = -1.0
+    steady = np.cumprod(flips)  # the direction if no orientation said anything
+    says = np.flatnonzero(decided)
+    if not len(says):
+        return steady
+    # Each chord goes by the last one before it that says something, the first ones by the next.
+    source = says[np.maximum(np.searchsorted(says, np.arange(len(chords)), side="right") - 1, 0)]
+    return np.asarray(decided[source] * steady[source] * steady)
+
+
+def _tip(points: FloatArray, kept: np.ndarray, cut: int) -> int:
+    """Return the number of the point where the motion turns back, near a kept one."""
+    beyond = kept[min(cut + 2, len(kept) - 1)]
+    before, here, after = points[kept[cut - 1]], points[kept[cut]], points[beyond]
+    outward = (here - before) / math.dist(here, before) - (after - here) / math.dist(after, here)
+    if math.hypot(*outward) < 1.0:  # it does not: the orientations have changed
+        return int(kept[cut])
+    near = points[kept[cut - 1] + 1 : beyond]
+    return int(kept[cut - 1]) + 1 + int(np.argmax((near - here) @ outward))
+
+
+def _refuse_reversing(
+    poses: _Poses, tips: list[int], cusps: set[int], cuts: list[int], directions: np.ndarray
+) -> None:
+    """Raise where the robot would have to turn back, or to drive backwards."""
+    for cut, tip in zip(cuts, tips, strict=True):
+        if cut in cusps:
+            raise PathError(
+                f"path turns back at {poses.place(tip)}: cut it there into two paths, or set "
+                "allow_reversing"
+            )
+    if (directions < 0).any():
+        first = 0 if directions[0] < 0 else tips[int(np.argmax(directions[np.array(cuts)] < 0))]
+        raise PathError(
+            f"path is to be driven backwards from {poses.place(first)} on, by the orientations of "
+            "its poses: turn them along the path, or set allow_reversing"
+        )
+
+
+def _fitted(
+    poses: _Poses, closed: bool, tolerance: float, unfit: Interpolation | None = None
+) -> Path:
+    """Return the path of one segment; `unfit` is a spline through it that is known not to be it.
+
+    Raises:
+        PathError: It cannot be smoothed within the tolerance.
+
+    """
+    if unfit is not None and unfit.closed != closed:
+        unfit = None
+    through = unfit or _interpolation(poses.points, closed)
+    try:
+        path = None if unfit else _exact(through, tolerance)
+        if path is not None:
+            return path
+        if tolerance == 0.0:
+            return _along(through)
+        curve, step = smoothed(through, tolerance)
+        curve, _ = distinct_points(curve)
+        return Path.along(*chord_spline(curve, through.closed), through.closed, step)
+    except TurningBackError as error:
+        nearest = int(np.argmin(np.hypot(*(poses.points - np.array(error.place)).T)))
+        raise PathError(
+            f"path cannot be smoothed within path_tolerance ({tolerance:g} m) at "
+            f"{poses.place(nearest)}: raise path_tolerance, or make the path smoother there"
+        ) from None

@@ -1,0 +1,81 @@
+"""Routes: the paths that a robot drives one after the other, forwards or backwards."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A path that is driven in one go.
+
+    Attributes:
+        path: The path, in the direction of motion.
+        reverse: Whether the robot drives along it backwards.
+
+    """
+
+    path: Path
+    reverse: bool = False
+
+    def heading_of_path(self, pose: FloatArray) -> FloatArray:
+        """Return a robot's pose (3,) with the heading that it moves to: turned by pi in reverse."""
+        return pose + np.array([0.0, 0.0, np.pi]) if self.reverse else pose
+
+
+@dataclass(frozen=True)
+class Route:
+    """Segments in the order in which they are driven; the robot stops between them.
+
+    Only a route of a single segment is ever closed.
+    """
+
+    segments: tuple[Segment, ...]
+
+    @property
+    def length(self) -> float:
+        """Return the length of all segments [m]."""
+        return sum(segment.path.length for segment in self.segments)
+
+    @property
+    def closed(self) -> bool:
+        """Return whether the route ends where it starts, and goes on."""
+        return len(self.segments) == 1 and self.segments[0].path.closed
+
+    def digest(self) -> str:
+        """Return a hash: equal digests are equal routes. That of one path forwards is its own."""
+        parts = [segment.path.digest() + "r" * segment.reverse for segment in self.segments]
+        if len(parts) == 1 and not self.segments[0].reverse:
+            return parts[0]
+        return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
+
+    def points(self, spacing: float = 0.05) -> FloatArray:
+        """Return the robot's poses along the route, at most `spacing` [m] apart, shape (N, 3)."""
+        return np.concatenate(
+            [segment.heading_of_path(segment.path.points(spacing)) for segment in self.segments]
+        )
+
+    def nearest(self, pose: FloatArray) -> tuple[int, float]:
+        """Return the segment and the arc length [m] on it that suit a robot's pose (3,) best."""
+        found = [
+            segment.path.nearest_and_score(segment.heading_of_path(pose))
+            for segment in self.segments
+        ]
+        best = min(range(len(found)), key=lambda index: found[index][1])
+        return best, found[best][0]
+
+    def make_ready(self) -> None:
+        """Compute beforehand what the first control step on each segment asks for."""
+        for segment in self.segments:
+            segment.path.make_ready()
+
+
+def route_of(path: Path | Route) -> Route:
+    """Return a path as the route that drives it forwards; a route as it is."""
+    return path if isinstance(path, Route) else Route((Segment(path),))

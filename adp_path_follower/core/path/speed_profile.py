@@ -1,0 +1,172 @@
+"""The speed along a path, v_des(s_p): as fast as curvature, limits and what lies ahead allow.
+
+Pointwise, with a share eta of what the robot can do, which leaves the rest to corrections,
+
+    v_des <= min(desired_speed, max_linear_vel, speed_limit, sqrt(a_lat / |kappa|),
+                 eta w_max / |kappa|, sqrt(eta alpha_max / (2 |kappa'|))),
+
+and along the path |d(v_des^2) / ds| <= 2 min(eta a, eta alpha_max / (2 |kappa|)): a forward pass
+with the acceleration, a backward pass with the deceleration, from zero at the end of an open path.
+So both parts of w_ss' = kappa' v_des^2 + kappa v_des' have half of the angular acceleration.
+v_des^2 is linear between the nodes, as it is under a constant acceleration.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import Settings
+
+SHARE = 0.8  # eta: of accelerations and angular velocity; the rest is for corrections
+_SLOWEST = 0.05  # [m/s], and ...
+_SLOWEST_SHARE = 0.25  # ... of the highest speed: below, models take this for the speed
+_TURNING = 0.05  # [m] over which the change of curvature is taken
+
+
+class SpeedProfile:
+    """v_des at every arc length of a path.
+
+    Attributes:
+        varies: Whether it is anything else than `desired_speed` everywhere.
+        stops: Whether it ends at zero, at the end of an open path.
+        highest: Its highest speed [m/s].
+        slowest: What models take for the speed where it is lower [m/s]. At rest a lateral error
+            cannot be corrected, so no model has a solution there.
+
+    """
+
+    @np.errstate(over="ignore")  # what is infinite is no limit
+    def __init__(self, path: Path, settings: Settings) -> None:
+        """Find the speeds at nodes along the path."""
+        target, limits, motion = settings.target, settings.limits, settings.motion
+        self._desired = target.desired_speed
+        self.highest = min(target.desired_speed, float(limits.upper[0]))
+        self.slowest = min(_SLOWEST, _SLOWEST_SHARE * self.highest)
+        self.stops = not path.closed and math.isfinite(motion.max_linear_decel)
+        self._length, self._closed = path.length, path.closed
+        curvature = path.sampled_curvature
+        pieces = len(curvature) - 1
+        self._step = path.length / pieces
+        squared = self._pointwise(curvature, settings)
+        if self.stops:
+            squared[-1] = 0.0
+        bend = np.abs(curvature)
+        bend = np.maximum(np.maximum(bend[:-1], bend[1:]), 1e-12)  # between two nodes
+        if self._closed:  # the second of three laps knows what was before it and what comes
+            squared = np.concatenate([squared[:-1], squared[:-1], squared])
+            bend = np.tile(bend, 3)
+        turning = 0.5 * SHARE * motion.max_angular_accel / bend
+        rise = 2.0 * self._step * np.minimum(SHARE * motion.max_linear_accel, turning)
+        fall = 2.0 * self._step * np.minimum(SHARE * motion.max_linear_decel, turning)
+        squared = _at_most_rising_by(squared, rise)
+        squared = _at_most_rising_by(squared[::-1], fall[::-1])[::-1]
+        self._squared = squared[pieces : 2 * pieces + 1] if self._closed else squared
+        self.varies = bool((self._squared != self._desired**2).any())
+
+    def same_as(self, other: SpeedProfile) -> bool:
+        """Return whether the speeds are the same everywhere."""
+        mine, theirs = (self._step, self._desired), (other._step, other._desired)
+        return mine == theirs and np.array_equal(self._squared, other._squared)
+
+    def speed(self, arc_length: FloatArray) -> FloatArray:
+        """Return v_des [m/s] at arc lengths s_p [m] of any shape, same shape.
+
+        Beyond the ends of an open path it is what it is there.
+        """
+        place = arc_length[()]
+        if self._closed:
+            place = place - self._length * np.floor(place / self._length)
+        position = np.fmin(np.fmax(place / self._step, 0.0), len(self._squared) - 1.0)
+        node = np.minimum(position.astype(np.intp), len(self._squared) - 2)
+        squared, ahead = self._squared[node], self._squared[node + 1]
+        return np.asarray(np.sqrt(squared + (position - node) * (ahead - squared)))[()]
+
+    def model_speed(self, arc_length: FloatArray) -> FloatArray:
+        """Return v_des, but nowhere less than `slowest`."""
+        speed: FloatArray = np.maximum(self.speed(arc_length), self.slowest)
+        return speed
+
+    def _pointwise(self, curvature: FloatArray, settings: Settings) -> FloatArray:
+        """Return the highest v_des^2 at each node (N,), whatever is before and after it."""
+        limits, motion = settings.limits, settings.motion
+        bend = np.maximum(np.abs(curvature), 1e-12)
+        bend[1:-1] = np.maximum(bend[1:-1], np.maximum(bend[:-2], bend[2:]))  # of the surroundings
+        squared = np.full(len(bend), self.highest**2)
+        squared = np.minimum(squared, motion.max_lateral_accel / bend)
+        squared = np.minimum(squared, (SHARE * limits.max_angular_vel / bend) ** 2)
+        if math.isfinite(motion.max_angular_accel):
+            reach = max(1, round(0.5 * _TURNING / self._step))
+            nodes = np.arange(len(curvature))
+            before, after = nodes - reach, nodes + reach
+            if self._closed:  # whose last node is its first
+                before, after = before % (len(nodes) - 1), after % (len(nodes) - 1)
+            else:
+                before, after = np.maximum(before, 0), np.minimum(after, len(nodes) - 1)
+            change = np.abs(curvature[after] - curvature[before])
+            slope = np.maximum(change / (2.0 * reach * self._step), 1e-12)
+            squared = np.minimum(squared, 0.5 * SHARE * motion.max_angular_accel / slope)
+        return np.asarray(squared)
+
+
+class SpeedReference:
+    """The profile, reached from the speed that a robot has with the accelerations it can have.
+
+    Attributes:
+        profile: The speeds along the path.
+
+    """
+
+    def __init__(self, profile: SpeedProfile, settings: Settings) -> None:
+        """Take the accelerations; the profile holds from the start until `launch` is called."""
+        motion = settings.motion
+        self.profile = profile
+        self._rise = 2.0 * SHARE * motion.max_linear_accel
+        self._fall = 2.0 * SHARE * motion.max_linear_decel
+        self._limited = math.isfinite(self._rise) or math.isfinite(self._fall)
+        self._start: tuple[FloatArray, FloatArray] | None = None
+
+    def launch(self, arc_length: FloatArray, speed: FloatArray) -> None:
+        """Go on to the profile from a speed (...) [m/s] at arc lengths (...) [m]."""
+        if self._limited:
+            from_rest = np.maximum(speed, self.profile.slowest)  # at zero it would never start
+            self._start = (np.asarray(arc_length)[()], from_rest**2)
+
+    def speed(self, arc_length: FloatArray) -> FloatArray | None:
+        """Return v_des at arc lengths (...) [m], None where it is `desired_speed` everywhere."""
+        if self._start is None:
+            return self.profile.speed(arc_length) if self.profile.varies else None
+        start, squared = self._start
+        run = np.maximum(arc_length[()] - start, 0.0)
+        wanted = self.profile.speed(arc_length)
+        if math.isfinite(self._fall):
+            wanted = np.maximum(wanted, np.sqrt(np.maximum(squared - self._fall * run, 0.0)))
+        if math.isfinite(self._rise):
+            wanted = np.minimum(wanted, np.sqrt(squared + self._rise * run))
+        return np.asarray(wanted)[()]
+
+
+def _at_most_rising_by(values: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the greatest values (N,), none above those given, that rise by at most `steps`.
+
+    Args:
+        values: Shape (N,).
+        steps: From one value to the next, shape (N - 1,).
+
+    """
+    if np.isinf(steps).all():
+        return values
+    # To rise by the highest of them is to rise to any of them; without it, sums may overflow.
+    slope = np.append(0.0, np.cumsum(np.minimum(steps, values.max())))
+    reached = np.minimum.accumulate(values - slope) + slope
+    return np.where(reached < (1.0 - 1e-12) * values, reached, values)  # but for rounding
+
+
+def speed_varies(path: Path, settings: Settings) -> bool:
+    """Return whether v_des is anything else than `desired_speed`, along the path or from rest."""
+    motion = settings.motion
+    from_rest = math.isfinite(min(motion.max_linear_accel, motion.max_linear_decel))
+    return from_rest or SpeedProfile(path, settings).varies

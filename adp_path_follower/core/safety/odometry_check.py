@@ -1,0 +1,188 @@
+"""Whether an odometry message can follow the ones before it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.settings.groups import ControllerSettings, Settings
+
+_NANOSECONDS = 1_000_000_000
+_FARTHEST = 1e8  # [m] from the origin, as for paths
+_FASTEST = 1e4  # [m/s], [rad/s]
+_FASTER = 3.0  # times the limits of the command, and ...
+_FASTER_BY = (1.0, 3.0)  # ... [m/s, rad/s] more: no base overshoots its commands like that
+_HEADING_TOLERANCE = 1.0  # [rad] beyond what the angular velocity explains
+_MEMORY = 0.5  # [s] over which motion that velocities do not explain adds up
+
+
+@dataclass(frozen=True)
+class OdometryProblem:
+    """What is wrong with a message.
+
+    Attributes:
+        text: One sentence.
+        lasts: Whether somebody has to look before the robot drives on, where it may not be what or
+            where it was.
+
+    """
+
+    text: str
+    lasts: bool = False
+
+
+class OdometryCheck:
+    """Compares each odometry message with those before it."""
+
+    def __init__(self) -> None:
+        """Begin without a message."""
+        self._stamp: int | None = None
+        self._pose, self._twist = (0.0, 0.0, 0.0), (0.0, 0.0)
+        self._frame = ""
+        self._unexplained = (0.0, 0.0)  # [m] along x and y
+        self._fastest = (0.0, 0.0)  # [m/s, rad/s] that the robot was allowed
+
+    def problem(
+        self,
+        now: int,
+        stamp: int,
+        pose: FloatArray,
+        twist: FloatArray,
+        child_frame: str,
+        settings: Settings,
+    ) -> OdometryProblem | None:
+        """Return what is wrong with a message, None if nothing is.
+
+        After a step back of the stamps, and after a jump, the next message is compared with this
+        one, so the fault ends by itself when the messages agree again. Another robot frame does
+        not, nor a robot that is elsewhere after a silence.
+
+        Args:
+            now: Present time [ns], 0 if it is not known.
+            stamp: Its time [ns].
+            pose: x [m], y [m], theta [rad], shape (3,).
+            twist: v [m/s], w [rad/s], shape (2,).
+            child_frame: The robot's frame.
+            settings: Say what is too old, too fast, and a jump.
+
+        """
+        (x, y, theta), (v, w) = pose.tolist(), twist.tolist()
+        self._fastest = tuple(map(max, self._fastest, settings.limits.upper.tolist()))
+        text = self._impossible(x, y, v, w)
+        if text:
+            return OdometryProblem(text)
+        if self._stamp is None:
+            self._frame = child_frame
+        if child_frame != self._frame:
+            return OdometryProblem(
+                f"odometry is of '{child_frame}' now, and was of '{self._frame}': two sources on "
+                "one topic?"
+            )
+        found = self._motion_problem(stamp, (x, y, theta), (v, w), settings)
+        if now and not (found and found.lasts):
+            text = stamp_problem(now, stamp, settings.controller)
+            found = OdometryProblem(text) if text else found
+        self._stamp, self._pose, self._twist = stamp, (x, y, theta), (v, w)
+        return found
+
+    def _impossible(self, x: float, y: float, v: float, w: float) -> str:
+        """Return why no such robot is at a place [m] with a velocity [m/s, rad/s]."""
+        near, slow = (abs(x) <= _FARTHEST >= abs(y)), (abs(v) <= _FASTEST >= abs(w))
+        if not (near and slow):  # also what is not a number
+            return (
+                f"odometry is no robot's: x {x:.3g} m, y {y:.3g} m, v {v:.3g} m/s, w "
+                f"{w:.3g} rad/s: check its units"
+            )
+        names = ("linear", "m/s"), ("angular", "rad/s")
+        for (name, unit), value, limit, more in zip(
+            names, (v, w), self._fastest, _FASTER_BY, strict=True
+        ):
+            if abs(value) > _FASTER * limit + more:
+                return (
+                    f"odometry says {value:.3g} {unit}, and max_{name}_vel is {limit:g}: check its "
+                    "units, and who else drives the robot"
+                )
+        return ""
+
+    def _motion_problem(
+        self,
+        stamp: int,
+        pose: tuple[float, float, float],
+        twist: tuple[float, float],
+        settings: Settings,
+    ) -> OdometryProblem | None:
+        """Return how a message does not go with the one before."""
+        if self._stamp is None:
+            return None
+        tolerance = settings.controller.odom_jump_tolerance
+        elapsed = (stamp - self._stamp) / _NANOSECONDS
+        x, y = pose[0] - self._pose[0], pose[1] - self._pose[1]
+        moved = math.hypot(x, y)
+        if not 0.0 <= elapsed <= settings.controller.odom_timeout:
+            return self._after_silence(elapsed, moved, tolerance)
+        explained, turn = (
+            elapsed * max(abs(before), abs(now))
+            for before, now in zip(self._twist, twist, strict=True)
+        )
+        if moved > explained + tolerance:
+            self._unexplained = (0.0, 0.0)
+            return OdometryProblem(
+                f"odometry jumped by {moved:.2f} m in {elapsed:.3f} s, where its velocity explains "
+                f"{explained:.2f} m"
+            )
+        turned = abs(float(wrap_angle(pose[2] - self._pose[2])))
+        if turned > turn + _HEADING_TOLERANCE and math.isfinite(tolerance):
+            return OdometryProblem(
+                f"odometry turned by {turned:.2f} rad in {elapsed:.3f} s, where its velocity "
+                f"explains {turn:.2f} rad"
+            )
+        return self._drift_problem((x, y), explained, elapsed, tolerance)
+
+    def _after_silence(
+        self, elapsed: float, moved: float, tolerance: float
+    ) -> OdometryProblem | None:
+        """Return why a robot may be elsewhere after stamps [s] that went back or ended for a time.
+
+        It was told to stop, but nobody knows how soon, so it may have come as far as it could.
+        """
+        self._unexplained = (0.0, 0.0)
+        if moved > max(elapsed, 0.0) * self._fastest[0] + tolerance:
+            how = f"came {elapsed:.1f} s later" if elapsed > 0.0 else "went back in time"
+            return OdometryProblem(
+                f"odometry {how}, and is {moved:.2f} m from where it was: has its source begun "
+                "anew, or was the robot carried?",
+                lasts=True,
+            )
+        if elapsed < 0.0:
+            return OdometryProblem(f"odometry stamps went back by {-elapsed:.3f} s")
+        return None
+
+    def _drift_problem(
+        self, moved: tuple[float, float], explained: float, elapsed: float, tolerance: float
+    ) -> OdometryProblem | None:
+        """Return how motion [m] that velocities do not explain adds up; noise does not."""
+        distance = math.hypot(*moved)
+        share = 1.0 - explained / distance if distance > explained else 0.0
+        kept = math.exp(-elapsed / _MEMORY)
+        drift = tuple(
+            kept * old + share * new for old, new in zip(self._unexplained, moved, strict=True)
+        )
+        self._unexplained = (drift[0], drift[1])
+        if math.hypot(*drift) <= tolerance:
+            return None
+        self._unexplained = (0.0, 0.0)
+        return OdometryProblem(
+            f"odometry has moved by {math.hypot(*drift):.2f} m within about {_MEMORY:g} s that its "
+            "velocity does not explain"
+        )
+
+
+def stamp_problem(now: int, stamp: int, controller: ControllerSettings) -> str:
+    """Return why odometry with a stamp [ns] says nothing about now [ns], empty if it does."""
+    age = (now - stamp) / _NANOSECONDS
+    if age > controller.odom_timeout:
+        return f"odometry is {age:.2f} s old by its stamp: are the clocks synchronised?"
+    if age < -controller.odom_timeout:
+        return f"odometry is {-age:.2f} s ahead by its stamp: are the clocks synchronised?"
+    return ""

@@ -1,0 +1,212 @@
+"""Whether the robot may move, and if not, why and what helps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.safety.odometry_check import OdometryProblem
+from adp_path_follower.core.settings.groups import ControllerSettings
+
+
+class State(Enum):
+    """States of the controller."""
+
+    INACTIVE = "inactive"
+    WAITING = "waiting"
+    FOLLOWING = "following"
+    GOAL_REACHED = "goal reached"
+    STOPPED = "stopped"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True)
+class Status:
+    """A state with its cause and what the user can do about it."""
+
+    state: State
+    cause: str = ""
+    remedy: str = ""
+
+
+_RESUME = "call ~/resume"
+_SETTLED = 0.2  # [s] of sound odometry after wrong odometry: every second message may be wrong
+
+
+def deviation(error: FloatArray, controller: ControllerSettings) -> str:
+    """Return how an error [s, y, theta] is above what the user allows, empty if it is not."""
+    _, cross_track, heading = abs(error).tolist()
+    if cross_track > controller.max_cross_track_error:
+        limit = controller.max_cross_track_error
+        return f"cross-track error {cross_track:.3f} m is above max_cross_track_error {limit:g}"
+    if heading > controller.max_heading_error:
+        limit = controller.max_heading_error
+        return f"heading error {heading:.3f} rad is above max_heading_error {limit:g}"
+    return ""
+
+
+class Supervisor:
+    """Decide from the inputs' freshness and soundness whether the robot may move.
+
+    A fault of the odometry, of the clock or of the command clears itself when sound odometry
+    returns; that the robot was too far from the path, or may have been carried, stays until
+    `resume`. Times are steady seconds: they go on when the ROS clock stands still.
+    """
+
+    def __init__(self, odom_timeout: float) -> None:
+        """Start without path and odometry; `odom_timeout` [s] may be changed later."""
+        self.odom_timeout = odom_timeout
+        self.active = False
+        self._odometry_time: float | None = None
+        self._tick_time: float | None = None
+        self._odometry_problem = ""
+        self._sound_since: float | None = None  # after wrong odometry
+        self._command_problem = ""
+        self._limit_problem = ""
+        self._deviation = ""
+        self._clock_missing = False
+        self._has_path = False
+        self._goal_reached = False
+        self._goal_problem = ""
+        self._stopped = False
+
+    def renewed(self) -> Supervisor:
+        """Return one that knows of no path and no odometry, and of what waits for `resume`."""
+        other = Supervisor(self.odom_timeout)
+        other._stopped, other._deviation = self._stopped, self._deviation
+        return other
+
+    def odometry_received(self, now: float, problem: OdometryProblem | None = None) -> None:
+        """Note a message, and what is wrong with it."""
+        self._odometry_time = now
+        self._command_problem = ""
+        if problem is not None:
+            self._odometry_problem, self._sound_since = problem.text, None
+            if problem.lasts:
+                self._deviation = problem.text
+        elif self._odometry_problem:
+            if self._sound_since is None:
+                self._sound_since = now
+            if now - self._sound_since >= _SETTLED:
+                self._odometry_problem = ""
+
+    def tick(self, now: float) -> None:
+        """Note that the control timer goes on."""
+        self._tick_time = now
+
+    def clock_missing(self, missing: bool) -> None:
+        """Note whether the clock that control steps go by has not been heard yet."""
+        self._clock_missing = missing
+
+    def path_received(self) -> None:
+        """Note a new path."""
+        self._has_path = True
+        self._goal_reached, self._goal_problem = False, ""
+
+    def path_removed(self) -> None:
+        """Note that there is no path any more."""
+        self._has_path = False
+
+    def goal_reached(self) -> None:
+        """Note that the end of the path is reached."""
+        self._goal_reached = True
+
+    def goal_missed(self, problem: str) -> None:
+        """Note that the robot will not get to the end of the path."""
+        self._goal_problem = problem
+
+    def command_refused(self, problem: str) -> None:
+        """Note that no sound command could be found for the last odometry."""
+        self._command_problem = problem
+
+    def speed_limit_refused(self, problem: str) -> None:
+        """Note why the last speed limit cannot hold, empty if it does."""
+        self._limit_problem = problem
+
+    def deviated(self, problem: str) -> None:
+        """Note that the robot is further from the path than the user allows."""
+        self._deviation = problem
+
+    def stop(self) -> None:
+        """Stop on the user's demand."""
+        self._stopped = True
+
+    def resume(self) -> None:
+        """Go on after a stop, or after the robot was too far from the path."""
+        self._stopped, self._deviation, self._goal_problem = False, "", ""
+
+    def status(self, now: float) -> Status:
+        """Return the state at a steady time [s]."""
+        if not self.active:
+            return Status(State.INACTIVE, "not activated", "call the lifecycle transition activate")
+        if self._stopped:
+            return Status(State.STOPPED, "~/stop was called", _RESUME)
+        return self._waiting() or self._fault(now) or self._going()
+
+    def patience(self, now: float) -> float:
+        """Return how long silence would be no fault yet, at a steady time [s]."""
+        heard = (self._odometry_time, self._tick_time)
+        oldest = min((time for time in heard if time is not None), default=now)
+        return oldest + self.odom_timeout - now
+
+    def _waiting(self) -> Status | None:
+        """Return what is waited for, if anything."""
+        if self._clock_missing:
+            return Status(
+                State.WAITING, "no time on /clock", "start what publishes it, or unset use_sim_time"
+            )
+        if not self._has_path:
+            return Status(State.WAITING, "no path", "publish a nav_msgs/Path on 'path'")
+        if self._odometry_time is None:
+            return Status(
+                State.WAITING, "no odometry", "publish nav_msgs/Odometry on 'odom', or remap it"
+            )
+        return None
+
+    def _fault(self, now: float) -> Status | None:
+        """Return what forbids to move, if anything."""
+        assert self._odometry_time is not None  # else it is waited for
+        timeout = self.odom_timeout
+        faults = (
+            (
+                now - self._odometry_time > timeout,
+                f"no odometry for more than {timeout:g} s",
+                "check the odometry source; following goes on when it returns",
+            ),
+            (
+                self._tick_time is not None and now - self._tick_time > timeout,
+                f"no control step for more than {timeout:g} s",
+                "check /clock, which may stand still; following goes on when it does",
+            ),
+            (bool(self._deviation), self._deviation, f"see to the robot, then {_RESUME}"),
+            (
+                bool(self._odometry_problem),
+                self._odometry_problem,
+                "check the odometry source; following goes on with sound messages",
+            ),
+            (
+                bool(self._command_problem),
+                self._command_problem,
+                "following goes on with the next odometry",
+            ),
+            (
+                bool(self._limit_problem),
+                self._limit_problem,
+                "following goes on with a speed limit above 0; to stop the robot, call ~/stop",
+            ),
+            (
+                bool(self._goal_problem),
+                self._goal_problem,
+                f"publish another path, or {_RESUME} to try again",
+            ),
+        )
+        for holds, cause, remedy in faults:
+            if holds:
+                return Status(State.FAULT, cause, remedy)
+        return None
+
+    def _going(self) -> Status:
+        if self._goal_reached:
+            return Status(State.GOAL_REACHED, "end of the path", "publish another path")
+        return Status(State.FOLLOWING)
