@@ -25,8 +25,8 @@ from adp_path_follower.core.path.curve import Path as FollowedPath
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.optimum.collocation import OptimumSolver
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.optimum.collocation import OptimumSolver
+from adp_path_follower.study.simulation.simulate import simulate
 
 _PERIOD = 0.01  # [s]
 _DELAYS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)  # [s] from the change to the start

@@ -20,7 +20,6 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from tick import Drive
 from timing import Row, arguments, in_turns, ratio, report
 
-from adp_path_follower.baselines.nmpc import Nmpc
 from adp_path_follower.core.basis import Basis, PolynomialBasis
 from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.policy import saturate
@@ -30,6 +29,7 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.learning import LearningSettings
 from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.study.comparison.peers.nmpc import Nmpc
 
 _WEIGHTS, _SAMPLES = (9, 24, 48, 104), (81, 400, 1000, 3000)
 _FLOOR, _PEER = "bare products", "NMPC"

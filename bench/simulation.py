@@ -24,7 +24,7 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.shared_files import config_file
-from adp_path_follower.simulation import SimulationResult, simulate
+from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
 
 # Parameter file, "cold" or "frozen" without learning, and what a run may take among the others, as
 # a share of what it takes alone.

@@ -16,8 +16,8 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path, path_through
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
-from adp_path_follower.trajectories import Trajectories
+from adp_path_follower.study.simulation.simulate import simulate
+from adp_path_follower.study.simulation.trajectories import Trajectories
 from sim_unicycle.settings import PlantSettings
 
 _SLOW_ROBOT: dict[str, object] = {"max_linear_vel": 0.6, "max_angular_vel": 1.5}

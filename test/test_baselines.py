@@ -15,13 +15,6 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from adp_path_follower.baselines import lapierre_soetanto, pure_pursuit, stanley
-from adp_path_follower.baselines.lapierre_soetanto import LapierreSoetanto
-from adp_path_follower.baselines.lqr import Lqr
-from adp_path_follower.baselines.nearest import NearestPlace
-from adp_path_follower.baselines.pure_pursuit import PurePursuit, RegulatedPurePursuit
-from adp_path_follower.baselines.registry import PEERS
-from adp_path_follower.baselines.stanley import Stanley, StanleyGains
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.cost import RunningCost
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
@@ -30,6 +23,13 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.shared_files import config_file
+from adp_path_follower.study.comparison.controllers import PEERS
+from adp_path_follower.study.comparison.peers import lapierre_soetanto, pure_pursuit, stanley
+from adp_path_follower.study.comparison.peers.lapierre_soetanto import LapierreSoetanto
+from adp_path_follower.study.comparison.peers.lqr import Lqr
+from adp_path_follower.study.comparison.peers.nearest import NearestPlace
+from adp_path_follower.study.comparison.peers.pure_pursuit import PurePursuit, RegulatedPurePursuit
+from adp_path_follower.study.comparison.peers.stanley import Stanley, StanleyGains
 
 try:
     import casadi  # noqa: F401  # only whether it is there
@@ -316,7 +316,7 @@ def test_nmpc_keeps_its_shifted_plan_when_the_solver_fails(monkeypatch):
 
 @needs_casadi
 def test_nmpc_finds_a_solver_without_a_compiler(monkeypatch):
-    from adp_path_follower.baselines import nmpc_solver
+    from adp_path_follower.study.comparison import nmpc_solver
 
     monkeypatch.setenv("PATH", "")
     settings = build(Settings, {**UNLIMITED, "desired_speed": 0.4})
@@ -328,7 +328,7 @@ def test_without_casadi_only_nmpc_is_missing(tmp_path):
     (tmp_path / "casadi.py").write_text("raise ImportError('not here')\n")
     script = (
         "import numpy as np\n"
-        "from adp_path_follower.baselines.registry import PEERS\n"
+        "from adp_path_follower.study.comparison.controllers import PEERS\n"
         "from adp_path_follower.core.errors import AdpError\n"
         "from adp_path_follower.core.path.library import named_path\n"
         "from adp_path_follower.core.settings.schema import build\n"

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from commands import adp
 
-from adp_path_follower.analysis.comparison_figures import draw_comparison
-from adp_path_follower.comparison import Comparison, Outcome, compare
-from adp_path_follower.contenders import CONTROLLERS, Contender, contenders
 from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.path.library import circle, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.comparison.compare import Comparison, Outcome, compare
+from adp_path_follower.study.comparison.controllers import CONTROLLERS, Contender, contenders
+from adp_path_follower.study.comparison.figures import draw_comparison
+from adp_path_follower.study.simulation.simulate import simulate
 
 OPTIMUM = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
 UNLIMITED = {
@@ -95,7 +95,7 @@ class Standing:
 
 
 def test_the_distance_from_the_path_is_that_to_its_nearest_place(monkeypatch):
-    from adp_path_follower import comparison
+    from adp_path_follower.study.comparison import compare as comparison
 
     item = Contender("standing", build(Settings, UNLIMITED), Standing, "frozen", rate=20.0)
     monkeypatch.setattr(comparison, "contenders", lambda settings, names: [item])

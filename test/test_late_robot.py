@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from adp_path_follower.analysis.projection import project
-from adp_path_follower.baselines.registry import PEERS
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.comparison.controllers import PEERS
+from adp_path_follower.study.simulation.simulate import simulate
 from sim_unicycle.settings import PlantSettings
 
 FILE = Path(__file__).parents[1] / "config" / "late_robot.yaml"

@@ -13,7 +13,7 @@ from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.simulation.simulate import simulate
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
 BEFORE_THE_BEND = json.loads(

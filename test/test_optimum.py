@@ -17,10 +17,10 @@ pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.optimum.collocation import OptimumSolver
-from adp_path_follower.optimum.costate import solve_costates
-from adp_path_follower.optimum.problem import OptimumError
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.optimum.collocation import OptimumSolver
+from adp_path_follower.study.optimum.costate import solve_costates
+from adp_path_follower.study.optimum.problem import OptimumError
+from adp_path_follower.study.simulation.simulate import simulate
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "optimum.json").read_text())
 PAPER_START = REFERENCE["figure_eight"]["start"]
@@ -228,7 +228,7 @@ def test_an_optimum_of_a_short_horizon_is_called_so(tmp_path):
 
 
 def test_a_check_that_disagrees_is_said(monkeypatch):
-    from adp_path_follower.optimum import costate
+    from adp_path_follower.study.optimum import costate
 
     extremal = costate.Extremal(0.5418868 * (1.0 + 2e-5), np.zeros(4))
     monkeypatch.setattr(costate, "solve_costates", lambda problem, motion: extremal)

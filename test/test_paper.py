@@ -7,9 +7,9 @@ import pytest
 
 pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
 
-from adp_path_follower.analysis.paper_figures import draw_paper
 from adp_path_follower.core.path.library import named_path
-from adp_path_follower.paper import Reproduction, reproduce
+from adp_path_follower.study.paper.figures import draw_paper
+from adp_path_follower.study.paper.reproduce import Reproduction, reproduce
 
 
 @pytest.fixture(scope="module")

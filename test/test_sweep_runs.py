@@ -14,7 +14,7 @@ from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, update
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.simulation.simulate import simulate
 from adp_path_follower.sweeping.conditions import PathSource, Robot
 from adp_path_follower.sweeping.objectives import OBJECTIVES, pareto_front, unstable_runs
 from adp_path_follower.sweeping.runs import MEASURES, Batch, simulate_batch

@@ -17,18 +17,18 @@ from adp_path_follower.analysis.drive import (
     last_time,
     period_of,
 )
-from adp_path_follower.analysis.metrics import (
-    COST_HORIZON,
-    cost_over_horizon,
-    is_paper_problem,
-    paper_optimum,
-)
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.safety.supervisor import State
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.study.optimum.reference import (
+    COST_HORIZON,
+    cost_over_horizon,
+    is_paper_problem,
+    paper_optimum,
+)
 
 TRANSIENT = 10.0  # [s] after which the steady cross-track error counts
 SETTLED_SHARE = 0.05  # of the error at the start
@@ -271,7 +271,7 @@ def _optimal_cost(
     if is_paper_problem(settings, path, arc_length, error):
         return paper_optimum().cost, ()
     try:
-        from adp_path_follower.optimum.collocation import solve_optimum
+        from adp_path_follower.study.optimum.collocation import solve_optimum
 
         return solve_optimum(settings, path, error, arc_length, COST_HORIZON).cost, ()
     except AdpError as problem:  # no CasADi, or no optimum found

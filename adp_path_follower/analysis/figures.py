@@ -10,14 +10,14 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from adp_path_follower.analysis.metrics import ReferenceMotion
 from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.study.optimum.reference import ReferenceMotion
 from adp_path_follower.study.replay.replay import Replay
-from adp_path_follower.trajectories import Trajectories
+from adp_path_follower.study.simulation.trajectories import Trajectories
 
 _TRANSIENT = 15.0  # [s] that the left panels show
 _START = 8.0  # [s] that the close-up of the path shows

@@ -2,61 +2,23 @@
 
 from __future__ import annotations
 
-import importlib.resources
-import json
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.core.control import error_dynamics
-from adp_path_follower.core.control.cost import MotionCost
-from adp_path_follower.core.control.policy import saturate
-from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.library import lissajous
-from adp_path_follower.core.path.speed_profile import SpeedProfile
-from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import PAPER_START
+from adp_path_follower.study.optimum.reference import (
+    cost_over_horizon,
+    is_paper_problem,
+    paper_optimum,
+)
 from adp_path_follower.study.replay.replay import Replay
 
-COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
 _TRANSIENT = 10.0  # [s] after which the tracking error counts
+
+
 _SETTLED = 0.02  # of the initial error
-
-
-@dataclass(frozen=True)
-class ReferenceMotion:
-    """An optimal motion that a run is compared with.
-
-    Attributes:
-        cost: J*.
-        time: Shape (N,) [s].
-        error: e = [s, y, theta], shape (N, 3).
-        modified_input: u = [v_e, w_e], shape (N, 2).
-        position: x, y in the world [m], shape (N, 2), where it is known.
-
-    """
-
-    cost: float
-    time: FloatArray
-    error: FloatArray
-    modified_input: FloatArray
-    position: FloatArray | None = None
-
-
-def paper_optimum() -> ReferenceMotion:
-    """Return the optimum from the paper's start, which comes with the package."""
-    file = importlib.resources.files("adp_path_follower") / "data" / "paper_optimum.json"
-    content = json.loads(file.read_text(encoding="utf-8"))
-    return ReferenceMotion(
-        cost=float(content["cost"]),
-        time=np.array(content["t"]),
-        error=np.array(content["e"]),
-        modified_input=np.array(content["u"]),
-    )
 
 
 @dataclass(frozen=True)
@@ -131,69 +93,3 @@ def measure(run: Run, replay: Replay) -> RunMetrics:
         identical_commands=int(replay.identical.sum()),
         messages=sum(run.message_counts.values()),
     )
-
-
-def cost_over_horizon(
-    settings: Settings,
-    path: Path,
-    time: FloatArray,
-    poses: FloatArray,
-    commands: FloatArray,
-    arc_lengths: FloatArray,
-) -> float:
-    """Return J over the horizon, from each pose along the command that followed it.
-
-    Args:
-        settings: Give cost and target.
-        path: The path that was followed.
-        time: Time of each control step since the first [s], shape (N,).
-        poses: x, y, theta at each step, shape (N, 3).
-        commands: [v, w] of each step, shape (N, 2).
-        arc_lengths: Of the virtual target at each step [m], shape (N,).
-
-    Returns:
-        J, NaN where the run is shorter than the horizon.
-
-    """
-    if not len(time) or time[-1] < COST_HORIZON - 1e-6:
-        return math.nan
-    total, motion_cost = 0.0, MotionCost(settings, path, SpeedProfile(path, settings))
-    for step in np.flatnonzero(time[:-1] < COST_HORIZON - 1e-6):
-        spent, _ = motion_cost(
-            poses[step],
-            commands[step],
-            arc_lengths[step],
-            float(time[step + 1] - time[step]),
-        )
-        total += float(spent)
-    return total
-
-
-def is_paper_problem(
-    settings: Settings, path: Path, arc_length: float, first_error: FloatArray
-) -> bool:
-    """Return whether the optimum that comes with the package is the one of this run.
-
-    Args:
-        settings: The controller's.
-        path: The path that was followed.
-        arc_length: Where on it the virtual target started [m].
-        first_error: The error [s, y, theta] at the start.
-
-    """
-    standard = build(Settings, {})
-    same_problem = settings.target == standard.target and settings.cost == standard.cost
-    place = np.array([arc_length, path.length])
-    return bool(
-        same_problem
-        and _within_limits(paper_optimum(), settings)
-        and np.allclose(place, [0.0, lissajous().length], atol=1e-3)
-        and np.allclose(first_error, PAPER_START, atol=1e-6)
-    )
-
-
-def _within_limits(optimum: ReferenceMotion, settings: Settings) -> bool:
-    """Return whether limits would not have changed an optimum on a straight path."""
-    feedforward = error_dynamics.feedforward(np.zeros(len(optimum.time)), settings.target)
-    wanted = optimum.modified_input
-    return bool(np.allclose(saturate(wanted, feedforward, settings.limits), wanted))

@@ -22,17 +22,17 @@ from adp_path_follower.cli.options import (
     start_options,
     write_json,
 )
-from adp_path_follower.contenders import CONTROLLERS
 from adp_path_follower.core.files import output_to, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path as PlanarPath
 from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.simulated_robot import without_nodes
+from adp_path_follower.study.comparison.controllers import CONTROLLERS
+from adp_path_follower.study.simulation.robot import without_nodes
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
-    from adp_path_follower.comparison import Comparison, Outcome
+    from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.inf")
 _FORTY_STARTS = Path(__file__).parents[1] / "data" / "forty_starts.csv"
@@ -132,7 +132,7 @@ def compare(
 
 def _compare_on(paths: dict[str, PlanarPath], directory: Path, **common: Any) -> list[str]:
     """Compare on each path, and say and write what was found; return what went wrong."""
-    from adp_path_follower.comparison import compare as run_comparison
+    from adp_path_follower.study.comparison.compare import compare as run_comparison
 
     found: list[Comparison] = []
     for name, path in paths.items():
@@ -202,7 +202,7 @@ def _ratio(value: float) -> str:
 
 def _write(found: list[Comparison], directory: Path, figures: Path) -> None:
     """Write table and numbers of all paths so far, and the figures of the last one."""
-    from adp_path_follower.analysis.comparison_figures import draw_comparison
+    from adp_path_follower.study.comparison.figures import draw_comparison
 
     text = "\n\n".join(_table(item) for item in found)
     with output_to(directory):

@@ -26,7 +26,7 @@ from adp_path_follower.core.path.curve import Path as FollowedPath
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.simulation import PAPER_START
+from adp_path_follower.study.simulation.simulate import PAPER_START
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.settings import SimulatorSettings
 
@@ -153,9 +153,10 @@ def _run(
 def _report(bag: Path, directory: Path, duration: float, wall_time: float) -> None:
     """Draw, measure, write and print what happened."""
     from adp_path_follower.analysis.figures import draw_figures, view_of_replay
-    from adp_path_follower.analysis.metrics import measure, paper_optimum
+    from adp_path_follower.analysis.metrics import measure
     from adp_path_follower.bags.reader import read_run
     from adp_path_follower.cli.summary import summary_markdown, summary_table
+    from adp_path_follower.study.optimum.reference import paper_optimum
     from adp_path_follower.study.replay.replay import replay
 
     click.echo("reading the bag and drawing the figures")

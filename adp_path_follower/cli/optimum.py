@@ -31,7 +31,7 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.shared_files import config_file
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
-    from adp_path_follower.optimum.collocation import Optimum
+    from adp_path_follower.study.optimum.collocation import Optimum
 
 _AGREEMENT = 1e-5  # relative difference between collocation and costates
 
@@ -89,9 +89,9 @@ def optimum(
     Exit code 1 if a start has no converged optimum, J* changes with the horizon by more than 1e-4
     of itself, or --check differs by more than 1e-5; it is named, the others are still written.
     """
-    from adp_path_follower.optimum.collocation import OptimumSolver
-    from adp_path_follower.optimum.costate import solve_costates
-    from adp_path_follower.optimum.problem import OptimumError
+    from adp_path_follower.study.optimum.collocation import OptimumSolver
+    from adp_path_follower.study.optimum.costate import solve_costates
+    from adp_path_follower.study.optimum.problem import OptimumError
 
     settings = load_settings(
         Settings, "path_follower", params or config_file("paper.yaml"), assignments
@@ -157,7 +157,7 @@ def _write(
     if npz_file is not None:
         write_npz(npz_file, _arrays(rows))
     if figure_file is not None:
-        from adp_path_follower.analysis.optimum_figure import draw_optima
+        from adp_path_follower.study.optimum.figure import draw_optima
 
         with output_to(figure_file):
             draw_optima([row.optimum.motion for row in rows if row.optimum], figure_file)

@@ -20,7 +20,7 @@ from adp_path_follower.core.files import output_to, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.library import PATH_HELP
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.simulation import PAPER_START
+from adp_path_follower.study.simulation.simulate import PAPER_START
 from sim_unicycle.settings import SimulatorSettings
 
 Command = TypeVar("Command", bound=Callable[..., Any])

@@ -11,7 +11,7 @@ import click
 from adp_path_follower.cli.options import FILE, new_directory, progress_bar, write_json
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
-    from adp_path_follower.paper import Reproduction
+    from adp_path_follower.study.paper.reproduce import Reproduction
 
 
 @click.command()
@@ -31,14 +31,14 @@ def paper(directory: Path | None) -> None:
     with the optimum's collocation points as circles, the same laws for ten minutes, and the
     quantities of its stability theorem. Needs no ROS; takes about a minute.
     """
-    from adp_path_follower.paper import reproduce
+    from adp_path_follower.study.paper.reproduce import reproduce
 
     directory = new_directory(
         directory or Path(datetime.now().strftime("adp_paper_%Y_%m_%d-%H_%M_%S"))
     )
     with progress_bar("simulating and optimising") as progress:
         found = reproduce(progress)
-    from adp_path_follower.analysis.paper_figures import draw_paper
+    from adp_path_follower.study.paper.figures import draw_paper
 
     draw_paper(found, directory)
     numbers = _numbers(found)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from adp_path_follower.analysis.metrics import COST_HORIZON, RunMetrics
+from adp_path_follower.analysis.metrics import RunMetrics
+from adp_path_follower.study.optimum.reference import COST_HORIZON
 
 _CAPTIONS = {
     "figure_2_path.png": "The path, the robot's track and the virtual target. The robot starts "

@@ -18,8 +18,8 @@ from adp_path_follower.core.path.library import is_path_file, named_path, path_t
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, flatten
-from adp_path_follower.simulated_robot import without_nodes
-from adp_path_follower.simulation import HIGHEST_RATE, LEARNING_MODES, PAPER_START
+from adp_path_follower.study.simulation.robot import without_nodes
+from adp_path_follower.study.simulation.simulate import HIGHEST_RATE, LEARNING_MODES, PAPER_START
 from adp_path_follower.sweeping.yaml_file import Section
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings, SimulatorSettings

@@ -15,7 +15,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import CostSettings, PathSettings, Settings
 from adp_path_follower.core.settings.schema import update
-from adp_path_follower.simulation import SimulationResult, simulate
+from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
 from adp_path_follower.sweeping.conditions import PathSource, Robot
 from adp_path_follower.sweeping.tracking import TrackingMeter
 

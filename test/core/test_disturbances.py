@@ -11,7 +11,7 @@ from scipy.stats import binom
 from adp_path_follower.core.path.library import circle
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.simulation.simulate import simulate
 from sim_unicycle.settings import PlantSettings
 from sim_unicycle.unicycle import Unicycle
 

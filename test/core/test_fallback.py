@@ -14,7 +14,7 @@ from adp_path_follower.core.geometry import pose_in_frame
 from adp_path_follower.core.path.library import lissajous, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.simulation.simulate import simulate
 
 UNLIMITED = {
     "min_linear_vel": -math.inf,

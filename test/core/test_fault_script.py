@@ -15,7 +15,7 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.simulation.simulate import simulate
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 

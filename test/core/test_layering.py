@@ -22,7 +22,7 @@ BLOCKED = [
 # numpy, scipy and PyYAML are all that the core may need.
 ALLOWED_ROOTS = {*sys.stdlib_module_names, "numpy", "scipy", "yaml", "adp_path_follower"}
 SIMULATION = [
-    "adp_path_follower.simulation",
+    "adp_path_follower.study.simulation.simulate",
     "sim_unicycle.disturbances",
     "sim_unicycle.fault_script",
     "sim_unicycle.odometry",

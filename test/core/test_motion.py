@@ -19,7 +19,7 @@ from adp_path_follower.core.path.preparation import prepare
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.simulation.simulate import simulate
 
 LIMITS = {"max_linear_accel": 1.0, "max_linear_decel": 1.0, "max_angular_accel": 3.2}
 SIDE = 3.0  # [m]

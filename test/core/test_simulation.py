@@ -12,7 +12,7 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.library import circle, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import PAPER_START, simulate
+from adp_path_follower.study.simulation.simulate import PAPER_START, simulate
 from sim_unicycle.settings import PlantSettings
 
 STARTS = np.array([[-0.5, 0.25, -0.5], [0.3, -0.4, 1.0], [0.0, 0.8, 0.2]])

@@ -13,7 +13,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import update
 from adp_path_follower.shared_files import config_file
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.simulation.simulate import simulate
 from sim_unicycle.settings import PlantSettings
 
 # Near and far, ahead and behind, forwards, sideways and backwards.
@@ -146,7 +146,7 @@ def test_blocks_are_smaller_where_a_run_has_more_weights(figure_eight, monkeypat
 
     starts = np.zeros((60, 3))
     options = {"duration": 0.02, "controller": follower}
-    monkeypatch.setattr("adp_path_follower.simulation._MOST_BYTES", 200_000)
+    monkeypatch.setattr("adp_path_follower.study.simulation.simulate._MOST_BYTES", 200_000)
     simulate(tuning("default", SMALL), figure_eight, starts, **options)
     assert len(counts) > 1
     assert sum(counts) == 60

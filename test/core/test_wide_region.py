@@ -15,7 +15,7 @@ from adp_path_follower.core.geometry import pose_in_frame
 from adp_path_follower.core.path.library import circle, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.simulation import simulate
+from adp_path_follower.study.simulation.simulate import simulate
 
 HALF_WIDTHS = np.array([1.0, 2.0, 0.8])
 START, END = 1.0, 1.5

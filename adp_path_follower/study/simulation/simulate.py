@@ -19,7 +19,11 @@ from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import update
-from adp_path_follower.trajectories import Trajectories, TrajectoryRecorder, weights_of
+from adp_path_follower.study.simulation.trajectories import (
+    Trajectories,
+    TrajectoryRecorder,
+    weights_of,
+)
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 from sim_unicycle.unicycle import Unicycle

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.analysis.projection import project
-from adp_path_follower.contenders import Contender, contenders
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import speed_varies
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.optimum.collocation import Optimum, OptimumSolver
-from adp_path_follower.optimum.problem import OptimumError
-from adp_path_follower.simulation import PAPER_START, SimulationResult, simulate
+from adp_path_follower.study.comparison.controllers import Contender, contenders
+from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
+from adp_path_follower.study.optimum.problem import OptimumError
+from adp_path_follower.study.simulation.simulate import PAPER_START, SimulationResult, simulate
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings
 

@@ -1,6 +1,7 @@
-"""The offline optimum: what a controller that knows everything in advance would cost.
+"""The offline optimum: the cost of a controller that knows everything in advance.
 
-Needs the extra `optimum` (CasADi with IPOPT).
+May import `core`, `drawing` and `study.simulation`; needs the extra `optimum` (CasADi).
+Never drives a robot.
 """
 
 from adp_path_follower.core.errors import AdpError

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.analysis.metrics import ReferenceMotion
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame
 from adp_path_follower.core.learning.bellman import excitation
@@ -21,11 +20,12 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import update
-from adp_path_follower.optimum.collocation import OptimumSolver
-from adp_path_follower.optimum.costate import solve_costates
 from adp_path_follower.shared_files import config_file
-from adp_path_follower.simulation import PAPER_START, simulate
-from adp_path_follower.trajectories import Trajectories
+from adp_path_follower.study.optimum.collocation import OptimumSolver
+from adp_path_follower.study.optimum.costate import solve_costates
+from adp_path_follower.study.optimum.reference import ReferenceMotion
+from adp_path_follower.study.simulation.simulate import PAPER_START, simulate
+from adp_path_follower.study.simulation.trajectories import Trajectories
 
 DURATION = 40.0  # [s] of the comparison
 LONG_DURATION = 600.0  # [s] after which the unlearning shows

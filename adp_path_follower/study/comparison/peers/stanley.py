@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.baselines.nearest import NearestPlace
-from adp_path_follower.baselines.peer import PeerController
 from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.study.comparison.peers.nearest import NearestPlace
+from adp_path_follower.study.comparison.peers.peer import PeerController
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from adp_path_follower.analysis.style import COLORS, STYLE
-from adp_path_follower.comparison import Comparison, Outcome
+from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 _LEAST_LOSS = 1e-6  # of J*: what is drawn for less, and for less than nothing
 _OWN = ("adp", "adp_cold")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.figures import draw_figures, view_of_simulation
 from adp_path_follower.analysis.style import COLORS, STYLE
-from adp_path_follower.paper import PaperRun, Reproduction, Theorem
+from adp_path_follower.study.paper.reproduce import PaperRun, Reproduction, Theorem
 
 
 def draw_paper(found: Reproduction, directory: Path) -> list[Path]:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.baselines.nearest import NearestPlace
-from adp_path_follower.baselines.peer import PeerController
 from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.geometry import FloatArray, contiguous
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.study.comparison.peers.nearest import NearestPlace
+from adp_path_follower.study.comparison.peers.peer import PeerController
 
 USUAL_LOOKAHEAD = 1.0  # [m], as in MATLAB's controllerPurePursuit
 TUNED_LOOKAHEAD = 0.6  # [m]
@@ -41,7 +41,7 @@ class PurePursuit(PeerController):
     """Pure pursuit (Coulter, CMU-RI-TR-92-01, 1992): steer along the arc to a point ahead.
 
     The law holds the speed and has one number, the look-ahead distance; `TUNED_LOOKAHEAD` is the
-    best of 0.2, 0.3, ..., 1.3 and 1.5 m by the score of `registry`.
+    best of 0.2, 0.3, ..., 1.3 and 1.5 m by the score of `controllers`.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class RegulatedPurePursuit(PeerController):
     slowing down near obstacles, collision checks, the approach to the goal and the turn there; and
     what Nav2 has switched off: reversing, and a second point ahead for the curvature.
 
-    `TUNED_RULES` are the best by the score of `registry` of look-ahead times 0.8, 1, 1.2, 1.5 s,
+    `TUNED_RULES` are the best by the score of `controllers` of look-ahead times 0.8, 1, 1.2, 1.5 s,
     radii 0.9, 0.3 m and angles 0.785, 1.2, 1.57 rad, with the look-ahead distance by speed.
     """
 

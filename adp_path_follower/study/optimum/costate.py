@@ -16,7 +16,7 @@ from scipy.integrate import solve_bvp
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.optimum.problem import Motion, OptimumError, Problem
+from adp_path_follower.study.optimum.problem import Motion, OptimumError, Problem
 
 _CURVATURE_STEP = 1e-4  # [m] of the central difference that gives the change of curvature
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.baselines.peer import PeerController
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.study.comparison.peers.peer import PeerController
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class LapierreSoetanto(PeerController):
     out, for v_des is positive.
 
     The law leaves the speed open; usual is v = v_des. `TUNED_GAINS` have v = v_des - k s and are
-    the best by the score of `registry` of k = 0.5, 0.75, 1, 1.25 1/s and gamma = 0.5, 1, 2 1/m^2.
+    the best by the score of `controllers` of k = 0.5, 0.75, 1, 1.25 1/s and gamma = 0.5, 1, 2 1/m^2.
     """
 
     def __init__(

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.baselines.nmpc_solver import STEP, STEPS, Plan, horizon_solver
-from adp_path_follower.baselines.peer import PeerController
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.study.comparison.peers.nmpc_solver import STEP, STEPS, Plan, horizon_solver
+from adp_path_follower.study.comparison.peers.peer import PeerController
 
 _MOST_PASSES = 3  # of solving again with the curvature where the last pass has the target
 _CURVATURE_REACH = 0.05  # [m] to either side that a parabola of curvature is made for

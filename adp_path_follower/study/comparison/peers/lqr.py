@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.baselines.peer import PeerController
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.study.comparison.peers.peer import PeerController
 
 
 class Lqr(PeerController):

@@ -8,7 +8,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.style import COLORS, STYLE
-from adp_path_follower.optimum.problem import Motion
+from adp_path_follower.study.optimum.problem import Motion
 
 _LABELS = ("s [m]", "y [m]", "θ [rad]", "v_e [m/s]", "ω_e [rad/s]")
 _SHOWN = 15.0  # [s]: the rest is at rest

@@ -1,1 +1,0 @@
-"""The peers that the controller is compared with, behind the same interface (`registry.PEERS`)."""

@@ -1,0 +1,186 @@
+"""The controllers that are compared: this package's own and its peers, by name.
+
+A tuning of a peer has the least score of a small grid: the median J/J* of forty starts over 30 s,
+plus the RMS cross-track error in centimetres from 10 s to 60 s, which is through the first sharp
+bend; on the paper's figure eight from its beginning, |s|, |y| <= 1 m and |theta| <= 1 rad at the
+start, v_des = 0.5 m/s, no limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+
+from adp_path_follower.core.control.interface import Controller
+from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.core.settings.schema import build, flatten, setting_fields
+from adp_path_follower.shared_files import config_file
+from adp_path_follower.study.comparison.peers import lapierre_soetanto, pure_pursuit, stanley
+from adp_path_follower.study.comparison.peers.lapierre_soetanto import LapierreSoetanto
+from adp_path_follower.study.comparison.peers.lqr import Lqr
+from adp_path_follower.study.comparison.peers.pure_pursuit import PurePursuit, RegulatedPurePursuit
+from adp_path_follower.study.comparison.peers.stanley import Stanley
+from adp_path_follower.study.simulation.simulate import ControllerFactory
+
+Factory = Callable[[Settings, Path, FloatArray], Controller]
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A controller to compare with.
+
+    Attributes:
+        name: Name in tables and on the command line.
+        description: What it is, and where it is published.
+        factory: Makes it from settings, path and the virtual targets' arc lengths (B,) [m].
+        control_rate: Steps per second [Hz]; None for the simulation's.
+
+    """
+
+    name: str
+    description: str
+    factory: Factory
+    control_rate: float | None = None
+
+
+def _nmpc(settings: Settings, path: Path, arc_length: FloatArray) -> Controller:
+    """Make the only peer that needs CasADi.
+
+    Raises:
+        AdpError: There is no CasADi.
+
+    """
+    from adp_path_follower.study.comparison.peers.nmpc import Nmpc
+
+    return Nmpc(settings, path, arc_length)
+
+
+_PEERS = (
+    Peer(
+        "pure_pursuit",
+        "Pure pursuit (Coulter 1992), look-ahead 1 m",
+        PurePursuit,
+    ),
+    Peer(
+        "pure_pursuit_tuned",
+        f"Pure pursuit (Coulter 1992), look-ahead tuned: {pure_pursuit.TUNED_LOOKAHEAD:g} m",
+        partial(PurePursuit, lookahead=pure_pursuit.TUNED_LOOKAHEAD),
+    ),
+    Peer(
+        "regulated_pure_pursuit",
+        "Regulated pure pursuit (Macenski et al. 2023) with Nav2's defaults, without a costmap",
+        RegulatedPurePursuit,
+    ),
+    Peer(
+        "regulated_pure_pursuit_tuned",
+        "Regulated pure pursuit (Macenski et al. 2023), look-ahead by speed and slowing down tuned",
+        partial(RegulatedPurePursuit, rules=pure_pursuit.TUNED_RULES),
+    ),
+    Peer(
+        "stanley",
+        "Stanley's law (Hoffmann et al. 2007) on a virtual bicycle",
+        Stanley,
+    ),
+    Peer(
+        "stanley_tuned",
+        "Stanley's law (Hoffmann et al. 2007) at the robot, with curvature feed-forward, tuned",
+        partial(Stanley, gains=stanley.TUNED_GAINS),
+    ),
+    Peer(
+        "lapierre_soetanto",
+        "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at v = v_des",
+        LapierreSoetanto,
+    ),
+    Peer(
+        "lapierre_soetanto_tuned",
+        "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at "
+        "v = v_des - k s, tuned",
+        partial(LapierreSoetanto, gains=lapierre_soetanto.TUNED_GAINS),
+    ),
+    Peer(
+        "lqr",
+        "Linear-quadratic regulator scheduled by curvature, with the true input matrix",
+        Lqr,
+    ),
+    Peer(
+        "nmpc",
+        "Nonlinear model predictive control over 3 s (CasADi), with the curvature ahead",
+        _nmpc,
+        control_rate=20.0,
+    ),
+)
+
+PEERS: Mapping[str, Peer] = MappingProxyType({peer.name: peer for peer in _PEERS})
+
+OWN = {
+    "adp": "Approximate optimal control, learned before the start (warm)",
+    "adp_cold": "The same, learning from the first step on",
+    "paper": "The paper's laws and gains, learning from the first step on",
+}
+
+CONTROLLERS: dict[str, str] = {**OWN, **{name: peer.description for name, peer in PEERS.items()}}
+
+_RATE = 100.0  # [Hz]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One controller and how it is run.
+
+    Attributes:
+        name: As in `CONTROLLERS`.
+        settings: What it is made with.
+        factory: Makes it.
+        learning: How it starts: "cold" or "warm".
+        rate: Control steps per second [Hz].
+
+    """
+
+    name: str
+    settings: Settings
+    factory: ControllerFactory
+    learning: str
+    rate: float
+
+
+def contenders(settings: Settings, names: Sequence[str]) -> list[Contender]:
+    """Return the controllers of these names.
+
+    Raises:
+        AdpError: There is no such controller.
+
+    """
+    found = []
+    for name in names:
+        if name in ("adp", "adp_cold"):
+            mode = "warm" if name == "adp" else "cold"
+            found.append(Contender(name, settings, PathFollower, mode, _RATE))
+        elif name == "paper":
+            found.append(Contender(name, _paper_laws(settings), PathFollower, "cold", _RATE))
+        elif name in PEERS:
+            peer = PEERS[name]
+            rate = peer.control_rate or _RATE
+            found.append(Contender(name, settings, peer.factory, "frozen", rate))
+        else:
+            raise AdpError(f"unknown controller '{name}': choose from {', '.join(CONTROLLERS)}")
+    return found
+
+
+def _paper_laws(settings: Settings) -> Settings:
+    """Return the paper's learner for the target, cost and limits of other settings."""
+    printed = flatten(load_settings(Settings, "path_follower", config_file("paper.yaml")))
+    task = flatten(settings)
+    groups = {field.name: field.group for field in setting_fields(Settings)}
+    kept = {
+        name: value
+        for name, value in task.items()
+        if groups[name] in ("target", "cost", "limits", "motion")
+    }
+    return build(Settings, {**printed, **kept})

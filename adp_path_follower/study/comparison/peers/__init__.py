@@ -1,0 +1,5 @@
+"""Published controllers behind the interface of this one.
+
+May import `core`.
+Never knows this project's controller.
+"""
