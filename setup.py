@@ -30,7 +30,7 @@ setup(
     maintainer_email="maintainers@adp-path-follower.example.org",
     packages=find_packages(include=[NAME, f"{NAME}.*", "sim_unicycle"]),
     package_data={
-        NAME: ["py.typed", "data/*.json", "data/*.csv", "analysis/templates/*"],
+        NAME: ["py.typed", "data/*.json", "data/*.csv", "drawing/templates/*"],
         "sim_unicycle": ["py.typed"],
     },
     data_files=[

@@ -16,7 +16,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import adp_path_follower
-from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
@@ -25,6 +24,7 @@ from adp_path_follower.core.path.curve import Path as FollowedPath
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 from adp_path_follower.study.optimum.collocation import OptimumSolver
 from adp_path_follower.study.simulation.simulate import simulate
 

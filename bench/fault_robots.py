@@ -20,7 +20,7 @@ from conftest import Drive, Peer, is_zero  # after the path
 from geometry_msgs.msg import TwistStamped
 from test_other_processes import launched
 
-from adp_path_follower.nodes.processes import NodeProcess
+from adp_path_follower.study.demo.processes import NodeProcess
 
 
 class Bench:

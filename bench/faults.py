@@ -44,7 +44,7 @@ from test_left_alone import DEFECTIVE_TRANSITION
 from test_other_processes import Team
 from test_safety import HANGING_CONTROLLER, SimulatedTime
 
-from adp_path_follower.nodes.processes import own_domain
+from adp_path_follower.study.demo.processes import own_domain
 
 NAN, INFINITE = float("nan"), float("inf")
 ELSEWHERE = "from where it was"  # of odometry that has begun anew

@@ -39,9 +39,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "bags"))
 import torn_bags  # noqa: E402  # its folder is on the path only now
 
 from adp_path_follower.analysis import bag_pngs  # noqa: E402  # imports numpy
-from adp_path_follower.analysis.style import STYLE  # noqa: E402  # imports numpy
 from adp_path_follower.cli.main import adp  # noqa: E402  # imports numpy
 from adp_path_follower.core.errors import AdpError  # noqa: E402  # imports numpy
+from adp_path_follower.drawing.figure_style import STYLE  # noqa: E402  # imports numpy
 
 MOST_TIME = 10.0  # [s] of computing
 LONGEST_WAIT = 60.0  # [s] after which a command is broken into

@@ -45,8 +45,8 @@ from visualization_msgs.msg import MarkerArray
 
 from adp_path_follower.core.path.curve import Path as FollowedPath
 from adp_path_follower.core.path.library import named_path
-from adp_path_follower.nodes.processes import NodeProcess, own_domain
 from adp_path_follower.ros.runtime.conversions import poses_message
+from adp_path_follower.study.demo.processes import NodeProcess, own_domain
 
 WARM_UP = 5.0  # [min] after which memory must not grow any more
 _WINDOW = 60.0  # [s] of simulated time over which memory is averaged at either end

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "nodes"))
 
 import kills
 
-from adp_path_follower.nodes.processes import own_domain
+from adp_path_follower.study.demo.processes import own_domain
 
 _MOST_LOST = 0.5  # [s]
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray, advance_pose
 from adp_path_follower.core.path.curve import Path as FollowedPath
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 
 SIDE = 3.0  # [m]
 LIMITS = {

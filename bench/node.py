@@ -37,12 +37,12 @@ from timing import Row, arguments, report
 
 from adp_path_follower.core.geometry import FloatArray, advance_pose
 from adp_path_follower.core.path.library import circle
-from adp_path_follower.nodes.processes import NodeProcess, own_domain
 from adp_path_follower.ros.runtime.conversions import (
     odometry_message,
     poses_message,
     stamp_nanoseconds,
 )
+from adp_path_follower.study.demo.processes import NodeProcess, own_domain
 
 _RATES = (20.0, 50.0, 100.0, 200.0)
 _CONTROLLER = {"control_trigger": "odometry", "path_start": "beginning"}

@@ -11,11 +11,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adp_path_follower.analysis.style import COLORS, STYLE
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path, path_through
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import build
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 from adp_path_follower.study.simulation.simulate import simulate
 from adp_path_follower.study.simulation.trajectories import Trajectories
 from sim_unicycle.settings import PlantSettings

@@ -26,7 +26,7 @@ from bag_messages import (
 )
 from commands import Done, adp
 
-from adp_path_follower.analysis.bag_metrics import METRIC_NAMES, parse_requirement, with_states
+from adp_path_follower.analysis.metrics import METRIC_NAMES, parse_requirement, with_states
 from adp_path_follower.core.errors import AdpError
 
 pytest.importorskip("plotly", reason="the report needs the extra 'report'")
@@ -184,8 +184,8 @@ def test_names_that_look_like_tags_stay_text(tmp_path):
 def test_damaged_numbers_of_the_learner_raise_no_warning(tmp_path, value):
     """A damaged message may hold anything; squares and figures have their limits."""
     from adp_path_follower.analysis.bag_analysis import analyse_bag
+    from adp_path_follower.analysis.bag_page import write_report
     from adp_path_follower.analysis.bag_pngs import draw_bags
-    from adp_path_follower.analysis.report import write_report
 
     stamp, node = 5 * SECOND, "/path_follower"
     damaged = [
@@ -252,7 +252,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, arguments, expected):
 
 
 def test_a_full_disk_is_one_sentence(folder, tmp_path, monkeypatch):
-    from adp_path_follower.analysis import report
+    from adp_path_follower.analysis import bag_page as report
 
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

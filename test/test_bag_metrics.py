@@ -24,12 +24,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
-from adp_path_follower.analysis.bag_metrics import METRICS, settling
-from adp_path_follower.analysis.decimation import extremes
 from adp_path_follower.analysis.events import MOST_EVENTS
+from adp_path_follower.analysis.metrics import METRICS, settling
 from adp_path_follower.analysis.projection import project
 from adp_path_follower.core.path.curve import Path as FollowedPath
 from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.drawing.decimation import extremes
 
 ROOT = Path(__file__).parents[1]
 

@@ -268,7 +268,7 @@ def test_an_output_has_the_name_that_was_given(tmp_path):
 
 
 def test_unfinished_costs_are_null_in_json(tmp_path):
-    from adp_path_follower.cli.options import write_json
+    from adp_path_follower.cli.outputs import write_json
 
     write_json(tmp_path / "x.json", {"a": [math.nan, 1.0], "b": (math.inf, {"c": -math.inf})})
     assert json.loads((tmp_path / "x.json").read_text()) == {

@@ -24,8 +24,8 @@ from rosbags.typesys import Stores, get_typestore
 from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.nodes.closed_loop import run_closed_loop
 from adp_path_follower.shared_files import config_file
+from adp_path_follower.study.demo.closed_loop import run_closed_loop
 from adp_path_follower.study.simulation.simulate import PAPER_START
 
 pytestmark = pytest.mark.nodes

@@ -15,9 +15,9 @@ pytest.importorskip("plotly", reason="the report needs the extra 'report'")
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 from adp_path_follower.analysis.bag_analysis import analyse_bag
-from adp_path_follower.analysis.bag_metrics import parse_requirement
+from adp_path_follower.analysis.bag_page import write_report
 from adp_path_follower.analysis.events import KINDS
-from adp_path_follower.analysis.report import write_report
+from adp_path_follower.analysis.metrics import parse_requirement
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 ARGUMENTS = [

@@ -146,5 +146,5 @@ def test_the_page_opens_without_network_and_without_errors(sweep, tmp_path):
 
 
 def test_the_files_of_the_page_are_installed():
-    folder = Path(__file__).parents[1] / "adp_path_follower" / "analysis" / "templates"
+    folder = Path(__file__).parents[1] / "adp_path_follower" / "drawing" / "templates"
     assert {"sweep.html.j2", "sweep.js", "report.css"} <= {file.name for file in folder.iterdir()}

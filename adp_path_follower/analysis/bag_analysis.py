@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from adp_path_follower.analysis.bag_metrics import measure_drive, time_in_state, with_states
-from adp_path_follower.analysis.charts import Charts, charts_of
-from adp_path_follower.analysis.drive import Drive, drive_of
 from adp_path_follower.analysis.events import Event, events_of
+from adp_path_follower.analysis.metrics import measure_drive, time_in_state, with_states
+from adp_path_follower.analysis.recorded_run import Drive, drive_of
+from adp_path_follower.analysis.run_charts import charts_of
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.settings.schema import flatten, yaml_text
+from adp_path_follower.drawing.charts import Charts
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
 from adp_path_follower.analysis.events import KINDS
-from adp_path_follower.analysis.palette import DISTANCE_SCALES, color, is_dashed
-from adp_path_follower.analysis.style import STYLE
+from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, STYLE, color, is_dashed
 
 
 def draw_bags(analyses: Sequence[BagAnalysis], directory: Path) -> list[Path]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from adp_path_follower.analysis.drive import Drive, controller_states
+from adp_path_follower.analysis.recorded_run import Drive, controller_states
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.messages.configuration import Configuration, parse_configuration
 

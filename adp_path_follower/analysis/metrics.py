@@ -1,95 +1,349 @@
-"""Numbers that describe a run."""
+"""Numbers that describe a recorded run of any controller."""
 
 from __future__ import annotations
 
 import math
+import operator
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.bags.reader import Run
+from adp_path_follower.analysis.recorded_run import (
+    Drive,
+    controller_states,
+    finite,
+    last_time,
+    period_of,
+)
+from adp_path_follower.core.control.virtual_target import VirtualTarget
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.safety.supervisor import State
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.optimum.reference import (
+    COST_HORIZON,
     cost_over_horizon,
     is_paper_problem,
     paper_optimum,
 )
-from adp_path_follower.study.replay.replay import Replay
 
-_TRANSIENT = 10.0  # [s] after which the tracking error counts
-
-
-_SETTLED = 0.02  # of the initial error
+TRANSIENT = 10.0  # [s] after which the steady cross-track error counts
+SETTLED_SHARE = 0.05  # of the error at the start
+SETTLED_LEAST = 0.01  # [m]
 
 
 @dataclass(frozen=True)
-class RunMetrics:
-    """Summary of a run; a number that the run is too short for is NaN.
+class Metric:
+    """What one number is.
 
     Attributes:
-        duration: Time from the first to the last control step [s].
-        cost: J over the first 30 s, along the true motion.
-        optimal_cost: J* from the same start, NaN where it is not known.
-        cross_track_rms: RMS of y after 10 s [m].
-        cross_track_max: Largest |y| after 10 s [m].
-        settling_time: Time after which |e| stays below 2 % of its start [s].
-        excitation_min: Smallest certificate during the run.
-        control_rate: Control steps per second of the run's time [Hz].
-        commands: Number of control steps.
-        identical_commands: How many of them `PathFollower` repeats to the last bit.
-        messages: Number of messages in the bag.
+        name: In metrics.json and for --require.
+        unit: Empty for a plain number.
+        meaning: One line.
+        better: "low", "high", or empty where neither is.
 
     """
 
-    duration: float
-    cost: float
-    optimal_cost: float
-    cross_track_rms: float
-    cross_track_max: float
-    settling_time: float
-    excitation_min: float
-    control_rate: float
-    commands: int
-    identical_commands: int
-    messages: int
-
-    @property
-    def cost_ratio(self) -> float:
-        """Return J / J*."""
-        return self.cost / self.optimal_cost
+    name: str
+    unit: str
+    meaning: str
+    better: str = "low"
 
 
-def measure(run: Run, replay: Replay) -> RunMetrics:
-    """Return the summary of a run and its replay."""
-    time = (replay.stamp - replay.stamp[0]) * 1e-9
-    error = np.array([output.error for output in replay.outputs])
-    late = np.abs(error[time >= _TRANSIENT, 1])
-    size = np.linalg.norm(error, axis=1)
-    outside = np.flatnonzero(size >= _SETTLED * size[0])
-    last = int(outside[-1]) if len(outside) else -1
-    duration = float(time[-1])
-    follower = replay.follower
-    known_optimum = is_paper_problem(
-        follower.settings, follower.path, float(replay.outputs[0].arc_length), error[0]
+def _statistics(name: str, what: str, unit: str) -> tuple[Metric, ...]:
+    return tuple(
+        Metric(f"{name}_{statistic}", unit, f"{word} {what}")
+        for statistic, word in {
+            "rms": "Root mean square of",
+            "mean": "Mean of",
+            "median": "Median of",
+            "p95": "95 % quantile of",
+            "max": "Largest value of",
+        }.items()
     )
-    series = run.series.get("excitation")
-    known = np.zeros(0) if series is None else series.values[np.isfinite(series.values)]
-    return RunMetrics(
-        duration=duration,
-        cost=cost_over_horizon(
-            follower.settings,
-            follower.path,
-            time,
-            replay.pose,
-            replay.recorded,
-            np.array([float(output.arc_length) for output in replay.outputs]),
-        ),
-        optimal_cost=paper_optimum().cost if known_optimum else math.nan,
-        cross_track_rms=float(np.sqrt(np.mean(late**2))) if len(late) else math.nan,
-        cross_track_max=float(late.max()) if len(late) else math.nan,
-        settling_time=float(time[last + 1]) if last + 1 < len(time) else math.nan,
-        excitation_min=float(known.min()) if len(known) else math.nan,
-        control_rate=(len(time) - 1) / duration if duration > 0.0 else math.nan,
-        commands=len(time),
-        identical_commands=int(replay.identical.sum()),
-        messages=sum(run.message_counts.values()),
+
+
+METRICS = (
+    Metric("duration", "s", "Time during which the robot was told to move", ""),
+    Metric("distance", "m", "Length of the robot's track", ""),
+    Metric("path_covered", "m", "How far it came along the path", ""),
+    *_statistics("cross_track", "the distance from the path", "m"),
+    *_statistics("heading", "the angle to the path", "rad"),
+    Metric("steady_cross_track_rms", "m", f"Like cross_track_rms, after the first {TRANSIENT:g} s"),
+    Metric("steady_cross_track_max", "m", f"Like cross_track_max, after the first {TRANSIENT:g} s"),
+    Metric(
+        "settling_time",
+        "s",
+        f"Until the distance stays below {100 * SETTLED_SHARE:g} % of that at the start, or "
+        f"{1000 * SETTLED_LEAST:g} mm",
+    ),
+    Metric(
+        "overshoot",
+        "",
+        "How far it went to the other side before it settled, as a share of the distance at the "
+        "start",
+    ),
+    Metric("cost", "", f"J = ∫ eᵀQe + uᵀRu over the first {COST_HORIZON:g} s"),
+    Metric("optimal_cost", "", "J* of the offline optimum from the same start", ""),
+    Metric("cost_ratio", "", "J / J*: 1 is the best that any controller can do"),
+    Metric("linear_effort", "m²/s", "∫ v² dt of the commands", ""),
+    Metric("angular_effort", "rad²/s", "∫ ω² dt of the commands", ""),
+    Metric("linear_variation", "m/s", "Σ |Δv| of the commands: how restless they are", ""),
+    Metric("angular_variation", "rad/s", "Σ |Δω| of the commands: how restless they are", ""),
+    Metric("command_rate", "Hz", "Commands per second", "high"),
+    Metric("command_jitter", "s", "Standard deviation of the time between commands"),
+    Metric("command_period_max", "s", "Longest time between two commands"),
+    Metric("latency_p50", "s", "Median time from odometry to its command, as recorded"),
+    Metric("latency_p99", "s", "99 % of the commands come within this time of their odometry"),
+    Metric("bellman_error_rms", "", "Root mean square of the Bellman error at the robot's place"),
+    Metric(
+        "excitation_min",
+        "",
+        "Smallest learning certificate; above 0, every weight is determined",
+        "high",
+    ),
+    Metric("messages", "", "Messages in the bag", ""),
+)
+METRIC_NAMES = tuple(metric.name for metric in METRICS)
+_STATE = "time_in_state."
+
+
+def measure_drive(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return name -> value, NaN where the bag does not tell, and notes on what is missing."""
+    values = dict.fromkeys(METRIC_NAMES, math.nan)
+    driving = drive.driving
+    time = drive.odometry.time[driving]
+    steps = np.diff(drive.odometry.values[driving, :2], axis=0)
+    cross = np.abs(drive.projection.cross_track[driving])
+    steady = cross[time >= TRANSIENT]
+    values |= {
+        "duration": float(drive.end),
+        "distance": float(np.linalg.norm(steps, axis=1).sum()),
+        "path_covered": _covered(drive),
+        **_spread("cross_track", cross),
+        **_spread("heading", np.abs(drive.projection.heading[driving])),
+        "steady_cross_track_rms": _rms(steady),
+        "steady_cross_track_max": float(steady.max()) if len(steady) else math.nan,
+        "messages": float(sum(drive.run.message_counts.values())),
+        **settling(time, drive.projection.cross_track[driving]),
+        **_command_values(drive),
+    }
+    for key, name, statistic in (
+        ("bellman_error", "bellman_error_rms", _rms),
+        ("excitation", "excitation_min", lambda found: float(found.min())),
+    ):
+        if key in drive.learner:
+            found = finite(drive.learner[key].values)
+            values[name] = statistic(found) if len(found) else math.nan
+    costs, notes = _costs(drive)
+    return values | costs, notes
+
+
+def settling(time: FloatArray, cross_track: FloatArray) -> dict[str, float]:
+    """Return settling time [s] and overshoot of a distance [m] over time [s]."""
+    if not len(time):
+        return {"settling_time": math.nan, "overshoot": math.nan}
+    start = float(cross_track[0])
+    outside = np.flatnonzero(np.abs(cross_track) >= max(SETTLED_SHARE * abs(start), SETTLED_LEAST))
+    if not len(outside):
+        return {"settling_time": 0.0, "overshoot": math.nan}
+    settled = int(outside[-1]) + 1
+    other_side = float((-math.copysign(1.0, start) * cross_track[:settled]).max(initial=0.0))
+    return {
+        "settling_time": float(time[settled] - time[0]) if settled < len(time) else math.nan,
+        "overshoot": other_side / abs(start) if abs(start) >= SETTLED_LEAST else math.nan,
+    }
+
+
+def time_in_state(drive: Drive) -> dict[str, float]:
+    """Return how long the controller was in each state [s]; empty where the bag does not say."""
+    changes = controller_states(drive.run.diagnostics)
+    if not changes:
+        return {}
+    times = [drive.seconds(change.time) for change in changes]
+    ends = [*times[1:], max(last_time(drive), times[-1])]
+    spent: dict[str, float] = {}
+    for change, begin, end in zip(changes, times, ends, strict=True):
+        spent[change.state] = spent.get(change.state, 0.0) + end - begin
+    return spent
+
+
+def _covered(drive: Drive) -> float:
+    """Return how far the robot came along its path or paths [m]."""
+    arc_length = drive.projection.arc_length
+    same = drive.driving[1:] & drive.driving[:-1] & (np.diff(drive.segment_of_pose) == 0)
+    return float(np.diff(arc_length)[same].sum())
+
+
+def _spread(name: str, values: FloatArray) -> dict[str, float]:
+    if not len(values):
+        return {}
+    return {
+        f"{name}_rms": _rms(values),
+        f"{name}_mean": float(values.mean()),
+        f"{name}_median": float(np.median(values)),
+        f"{name}_p95": float(np.quantile(values, 0.95)),
+        f"{name}_max": float(values.max()),
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    if not len(values):
+        return math.nan
+    largest = (
+        float(np.abs(values).max()) or 1.0
+    )  # whose square may be beyond 1e308 in a damaged bag
+    return largest * float(np.sqrt(np.mean((values / largest) ** 2)))
+
+
+def _command_values(drive: Drive) -> dict[str, float]:
+    """Return what the commands were like while the robot was told to move."""
+    time = drive.commands.time
+    chosen = (time >= 0.0) & (time <= drive.end)
+    commands, period = drive.commands.values[chosen], period_of(drive)
+    found: dict[str, float] = {}
+    if len(period):
+        effort = (commands[:-1] ** 2 * period[:, None]).sum(axis=0)  # held until the next
+        variation = np.abs(np.diff(commands, axis=0)).sum(axis=0)
+        found = {
+            "linear_effort": float(effort[0]),
+            "angular_effort": float(effort[1]),
+            "linear_variation": float(variation[0]),
+            "angular_variation": float(variation[1]),
+            "command_rate": float(1.0 / period.mean()),
+            "command_jitter": round(float(period.std()), 9),
+            "command_period_max": float(period.max()),
+        }
+    if len(drive.latency):
+        p50, p99 = np.quantile(drive.latency, [0.5, 0.99])
+        found |= {"latency_p50": float(p50), "latency_p99": float(p99)}
+    return found
+
+
+def _costs(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return cost, optimum and their ratio, as far as the bag tells."""
+    settings, time = drive.settings, drive.commands.time
+    if settings is None:
+        return {}, ("no cost: the bag does not say with which settings the controller ran",)
+    chosen = (time >= 0.0) & (time <= drive.end)
+    if not chosen.any() or drive.end < COST_HORIZON:
+        return {}, (f"no cost: the robot was told to move for less than {COST_HORIZON:g} s",)
+    place = np.searchsorted(drive.odometry.time, time[chosen] + 1e-9, side="right") - 1
+    place = np.maximum(place, 0)
+    numbers = drive.segment_of_pose[place[time[chosen] < COST_HORIZON]]
+    segment, path = drive.segments[numbers[0]], drive.segments[numbers[0]].path
+    if (numbers != numbers[0]).any():
+        return {}, (f"no cost: the path changed in the first {COST_HORIZON:g} s",)
+    if segment.reverse:
+        return {}, ("no cost: the robot drove backwards",)
+    time = time[chosen] - time[chosen][0]
+    count = int(np.searchsorted(time, COST_HORIZON + 1e-6, side="right")) + 1
+    time, poses = time[:count], drive.odometry.values[place[:count], :3]
+    arc_lengths, error = _virtual_target(settings, path, time, poses)
+    cost = cost_over_horizon(
+        settings, path, time, poses, drive.commands.values[chosen][:count], arc_lengths
     )
+    optimum, notes = _optimal_cost(settings, path, float(arc_lengths[0]), error)
+    return {"cost": cost, "optimal_cost": optimum, "cost_ratio": cost / optimum}, notes
+
+
+def _virtual_target(
+    settings: Settings, path: Path, time: FloatArray, poses: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the virtual target's arc length at each step, shape (N,), and the first error (3,)."""
+    at_beginning = settings.controller.path_start == "beginning"
+    target = VirtualTarget(path, settings.target, 0.0 if at_beginning else path.nearest(poses[0]))
+    arc_lengths, first = np.zeros(len(time)), np.zeros(3)
+    for step, period in enumerate(np.diff(time, prepend=0.0).tolist()):
+        _, error = target.move(poses[step], period)
+        arc_lengths[step] = float(target.arc_length)
+        first = error if step == 0 else first
+    return arc_lengths, first
+
+
+def _optimal_cost(
+    settings: Settings, path: Path, arc_length: float, error: FloatArray
+) -> tuple[float, tuple[str, ...]]:
+    """Return J* from a start, NaN and why where it is not known."""
+    if is_paper_problem(settings, path, arc_length, error):
+        return paper_optimum().cost, ()
+    try:
+        from adp_path_follower.study.optimum.collocation import solve_optimum
+
+        return solve_optimum(settings, path, error, arc_length, COST_HORIZON).cost, ()
+    except AdpError as problem:  # no CasADi, or no optimum found
+        return math.nan, (f"no J*: {problem}",)
+
+
+# Requirements
+
+_COMPARISONS: dict[str, Callable[[float, float], bool]] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "<": operator.lt,
+    ">": operator.gt,
+}
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A limit that a number has to keep.
+
+    Attributes:
+        text: As it was given.
+        name: Which number.
+        comparison: One of < <= > >=.
+        limit: In the number's unit.
+
+    """
+
+    text: str
+    name: str
+    comparison: str
+    limit: float
+
+    def met(self, values: Mapping[str, float]) -> bool:
+        """Return whether a run keeps it; a number that is not known does not."""
+        return _COMPARISONS[self.comparison](values.get(self.name, math.nan), self.limit)
+
+
+def parse_requirement(text: str) -> Requirement:
+    """Return the requirement that a text like "cross_track_rms<0.02" states.
+
+    Raises:
+        AdpError: It is not of this form, or names a number that there is not.
+
+    """
+    match = re.fullmatch(r"\s*([\w. ]+?)\s*(<=|>=|<|>)\s*(\S+)\s*", text)
+    if match is None:
+        raise AdpError(f"--require '{text}' is not NAME<LIMIT, as in 'cross_track_rms<0.02'")
+    name, comparison, limit_text = match.groups()
+    if name not in METRIC_NAMES and not name.startswith(_STATE):
+        raise AdpError(
+            f"--require '{text}' names no metric: there are {', '.join(METRIC_NAMES)} and "
+            f"{_STATE}STATE"
+        )
+    states = [state.value for state in State]
+    if name.startswith(_STATE) and name.removeprefix(_STATE) not in states:
+        raise AdpError(
+            f"--require '{text}' names no state of the controller: there are {', '.join(states)}"
+        )
+    try:
+        limit = float(limit_text)
+    except ValueError:
+        limit = math.nan
+    if math.isnan(limit):
+        raise AdpError(f"--require '{text}' has the limit '{limit_text}', which is no number")
+    return Requirement(text, name, comparison, limit)
+
+
+def with_states(values: Mapping[str, float], states: Mapping[str, float]) -> dict[str, float]:
+    """Return all numbers that a requirement can name.
+
+    Where a bag says the states, those that it does not name took no time; else none is known.
+    """
+    known = {**dict.fromkeys((state.value for state in State), 0.0), **states} if states else {}
+    return {**values, **{f"{_STATE}{name}": spent for name, spent in known.items()}}

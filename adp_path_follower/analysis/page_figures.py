@@ -12,9 +12,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
-from adp_path_follower.analysis.charts import Panel, Track
 from adp_path_follower.analysis.events import KINDS
-from adp_path_follower.analysis.palette import DISTANCE_SCALES, color, is_dashed
+from adp_path_follower.drawing.charts import Panel, Track
+from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, color, is_dashed
 
 _GREY = "rgba(128,128,128,0.35)"
 _PATH_COLOR = "rgba(128,128,128,0.6)"

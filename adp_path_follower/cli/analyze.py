@@ -11,18 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import (
-    FILE,
-    given_topics,
-    output_directory,
-    progress_bar,
-    topic_options,
-    write_json,
-)
+from adp_path_follower.cli.options import FILE, given_topics, progress_bar, topic_options
+from adp_path_follower.cli.outputs import output_directory, write_json
 
 if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to report
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
-    from adp_path_follower.analysis.bag_metrics import Requirement
+    from adp_path_follower.analysis.metrics import Requirement
 
 
 @click.command()
@@ -66,9 +60,9 @@ def analyze(
     trajectory.tum, which the tool evo reads. Exit code 1 if a requirement is not met.
     """
     from adp_path_follower.analysis.bag_analysis import analyse_bag, names_of
-    from adp_path_follower.analysis.bag_metrics import parse_requirement
+    from adp_path_follower.analysis.bag_page import write_report
     from adp_path_follower.analysis.bag_pngs import draw_bags
-    from adp_path_follower.analysis.report import write_report
+    from adp_path_follower.analysis.metrics import parse_requirement
 
     limits = [parse_requirement(text) for text in requirements]
     topics = given_topics(odom=odom, cmd=cmd, path=path)
@@ -129,8 +123,8 @@ def _numbers(analyses: list[BagAnalysis], limits: list[Requirement]) -> dict[str
 
 def _table(analyses: list[BagAnalysis]) -> str:
     """Return the numbers as people read them."""
-    from adp_path_follower.analysis.bag_metrics import METRICS
-    from adp_path_follower.analysis.report import number
+    from adp_path_follower.analysis.bag_page import number
+    from adp_path_follower.analysis.metrics import METRICS
 
     width = max(12, *(len(item.name) for item in analyses))
     lines = [f"{'':26}" + "".join(f"{item.name:>{width + 2}}" for item in analyses)]

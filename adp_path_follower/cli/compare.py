@@ -15,13 +15,12 @@ from adp_path_follower.cli.options import (
     FILE,
     collect_starts,
     load_simulator,
-    output_directory,
     progress_bar,
     settings_options,
     simulator_options,
     start_options,
-    write_json,
 )
+from adp_path_follower.cli.outputs import output_directory, write_json
 from adp_path_follower.core.files import output_to, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path as PlanarPath

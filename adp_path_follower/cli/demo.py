@@ -15,12 +15,11 @@ import numpy as np
 from adp_path_follower.cli.options import (
     FILE,
     load_simulator,
-    new_directory,
     path_option,
     settings_options,
     simulator_options,
-    write_json,
 )
+from adp_path_follower.cli.outputs import new_directory, write_json
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.curve import Path as FollowedPath
 from adp_path_follower.core.path.library import named_path
@@ -105,7 +104,7 @@ def _run(
     directory: Path,
 ) -> Path:
     """Run the nodes with a progress bar and return the bag."""
-    from adp_path_follower.nodes.closed_loop import Progress, run_closed_loop
+    from adp_path_follower.study.demo.closed_loop import Progress, run_closed_loop
 
     text = {"": "starting the nodes"}
     shown = 0.0
@@ -152,11 +151,12 @@ def _run(
 
 def _report(bag: Path, directory: Path, duration: float, wall_time: float) -> None:
     """Draw, measure, write and print what happened."""
-    from adp_path_follower.analysis.figures import draw_figures, view_of_replay
-    from adp_path_follower.analysis.metrics import measure
     from adp_path_follower.bags.reader import read_run
-    from adp_path_follower.cli.summary import summary_markdown, summary_table
+    from adp_path_follower.drawing.run_figures import draw_figures
+    from adp_path_follower.study.demo.metrics import measure
+    from adp_path_follower.study.demo.summary import summary_markdown, summary_table
     from adp_path_follower.study.optimum.reference import paper_optimum
+    from adp_path_follower.study.replay.figures import view_of_replay
     from adp_path_follower.study.replay.replay import replay
 
     click.echo("reading the bag and drawing the figures")

@@ -12,15 +12,13 @@ import numpy as np
 
 from adp_path_follower.cli.options import (
     FILE,
-    check_writable,
     collect_starts,
     path_option,
     progress_bar,
     settings_options,
     start_options,
-    write_json,
 )
-from adp_path_follower.cli.outputs import check_figure, write_npz
+from adp_path_follower.cli.outputs import check_figure, check_writable, write_json, write_npz
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray

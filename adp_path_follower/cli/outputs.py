@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import json
+import math
+import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,3 +48,92 @@ def write_npz(file: Path, arrays: dict[str, Any]) -> None:
     with output_to(file):
         # Not getbuffer(): Python 3.12.1 crashes when an exception's traceback holds on to one.
         file.write_bytes(content.getvalue())
+
+
+def check_writable(*files: Path | None) -> None:
+    """Refuse output files that cannot be written, before any work is done.
+
+    Raises:
+        FileError: A folder is missing or not writable, the file is a directory, or two are one.
+
+    """
+    given = [file for file in files if file is not None]
+    for number, file in enumerate(given):
+        if file.resolve() in [other.resolve() for other in given[:number]]:
+            raise FileError(f"output {file} is given twice: give each output a file of its own")
+        if file.is_dir():
+            raise FileError(f"output {file} is a directory: give a file name")
+        if not file.parent.is_dir():
+            raise FileError(f"output {file}: there is no directory {file.parent}")
+        if not os.access(file if file.exists() else file.parent, os.W_OK):
+            raise FileError(f"output {file} cannot be written: permission denied")
+
+
+def new_directory(directory: Path) -> Path:
+    """Return an output directory, made if needed.
+
+    Raises:
+        FileError: It holds files already, or cannot be made.
+
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if any(directory.iterdir()):
+            raise FileError(f"output {directory} holds files already: give a new directory")
+    except FileError:
+        raise
+    except (FileExistsError, NotADirectoryError):
+        raise FileError(f"output {directory} is a file: give a directory") from None
+    except OSError as error:
+        raise FileError(f"output {directory} cannot be made: {error.strerror}") from None
+    return directory
+
+
+@contextlib.contextmanager
+def output_directory(directory: Path, keep: bool = False) -> Iterator[Path]:
+    """Make an output directory, and take back what the block has written if the block fails.
+
+    Half a report is of no use, and the same command again would be refused because of it.
+
+    Args:
+        directory: Where the output goes: a new or empty directory.
+        keep: Whether what was written before is of use; an empty directory never is.
+
+    Raises:
+        FileError: As `new_directory`, or something in it cannot be written.
+
+    """
+    was_there = os.path.lexists(directory)  # which no name is too long for
+    new_directory(directory)
+    try:
+        with output_to(directory):
+            yield directory
+    except BaseException:
+        with contextlib.suppress(OSError):
+            for item in () if keep else directory.iterdir():  # it was empty
+                shutil.rmtree(item) if item.is_dir() else item.unlink()
+            if not was_there:
+                directory.rmdir()
+        raise
+
+
+def write_json(file: Path, content: object) -> None:
+    """Write JSON with null for numbers that are not finite, which JSON does not know.
+
+    Raises:
+        FileError: It cannot be written.
+
+    """
+    text = json.dumps(_finite(content), indent=2, allow_nan=False)
+    with output_to(file):  # in place: it may be no file but /dev/stdout
+        file.write_text(text + "\n", encoding="utf-8")
+
+
+def _finite(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in content]
+    if isinstance(content, float) and not math.isfinite(content):
+        return None
+    return content

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import FILE, new_directory, progress_bar, write_json
+from adp_path_follower.cli.options import FILE, progress_bar
+from adp_path_follower.cli.outputs import new_directory, write_json
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.paper.reproduce import Reproduction

@@ -15,14 +15,12 @@ from click.core import ParameterSource
 from adp_path_follower.bags.reader import Run, read_run
 from adp_path_follower.cli.options import (
     FILE,
-    check_writable,
     given_topics,
-    output_directory,
     progress_bar,
     settings_options,
     topic_options,
 )
-from adp_path_follower.cli.outputs import check_figure
+from adp_path_follower.cli.outputs import check_figure, check_writable, output_directory
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
@@ -188,7 +186,7 @@ def _write_comparison(found: Replay, csv_file: Path | None, figure_file: Path | 
         with output_to(csv_file):
             np.savetxt(csv_file, table, delimiter=",", header=header, comments="", fmt="%.17g")
     if figure_file is not None:
-        from adp_path_follower.analysis.figures import draw_replay
+        from adp_path_follower.study.replay.figures import draw_replay
 
         with output_to(figure_file):
             draw_replay(found, figure_file)
@@ -203,7 +201,7 @@ def _write_report(bag: Path, topics: Mapping[str, str], replayed: Path, closed_l
     directory = replayed.parent
     try:
         from adp_path_follower.analysis.bag_analysis import analyse_bag
-        from adp_path_follower.analysis.report import write_report
+        from adp_path_follower.analysis.bag_page import write_report
     except AdpError as error:
         click.echo(f"In {directory}: {replayed.name}/, without a report: {error}")
         return

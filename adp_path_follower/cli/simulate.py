@@ -10,7 +10,6 @@ import numpy as np
 
 from adp_path_follower.cli.options import (
     FILE,
-    check_writable,
     collect_starts,
     load_simulator,
     path_option,
@@ -18,9 +17,8 @@ from adp_path_follower.cli.options import (
     settings_options,
     simulator_options,
     start_options,
-    write_json,
 )
-from adp_path_follower.cli.outputs import write_npz
+from adp_path_follower.cli.outputs import check_writable, write_json, write_npz
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray

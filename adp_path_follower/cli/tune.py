@@ -9,13 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adp_path_follower.cli.options import (
-    FILE,
-    cluster_options,
-    progress_bar,
-    settings_options,
-    write_json,
-)
+from adp_path_follower.cli.options import FILE, cluster_options, progress_bar, settings_options
+from adp_path_follower.cli.outputs import write_json
 from adp_path_follower.sweeping.extra import require_extra
 
 if TYPE_CHECKING:  # Dask and Optuna are wanted when there is something to run

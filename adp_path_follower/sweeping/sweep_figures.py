@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from adp_path_follower.analysis.palette import COLORS
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.drawing.figure_style import COLORS
 from adp_path_follower.sweeping.objectives import OBJECTIVES
 from adp_path_follower.sweeping.overview import Overview, shown
 from adp_path_follower.sweeping.ranges import Listed, Variation

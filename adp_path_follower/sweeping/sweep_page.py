@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from adp_path_follower.analysis.page import write_page
+from adp_path_follower.drawing.page import write_page
 from adp_path_follower.sweeping.objectives import OBJECTIVES
 from adp_path_follower.sweeping.optima import WHERE_KNOWN
 from adp_path_follower.sweeping.overview import Overview, shown

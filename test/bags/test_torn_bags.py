@@ -168,7 +168,7 @@ def test_damaged_bags_end_with_success_or_a_sentence(run, files, tmp_path, first
 def test_analyses_of_damaged_bags_end_with_success_or_a_sentence(tmp_path):
     """All of the learner's topics; pages and figures of a few, for they take most of the time."""
     pytest.importorskip("plotly", reason="the report needs the extra 'report'")
-    from adp_path_follower.analysis.report import write_report
+    from adp_path_follower.analysis.bag_page import write_report
 
     torn_bags.write_run(tmp_path / "run", steps=20, profiles=(), learner=True)
     whole = torn_bags.variants(tmp_path / "run")["plain"]

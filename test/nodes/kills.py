@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 
 from adp_path_follower.bags.recovery.recover import recover
-from adp_path_follower.nodes.processes import NodeProcess
+from adp_path_follower.study.demo.processes import NodeProcess
 
 _READY = 60.0  # [s]
 

@@ -28,9 +28,9 @@ from adp_path_follower.core.safety.odometry_check import OdometryCheck
 from adp_path_follower.core.safety.supervisor import State
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import flatten, setting_fields
-from adp_path_follower.nodes.processes import own_domain
 from adp_path_follower.ros.controller.node import PathFollowerNode
 from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
+from adp_path_follower.study.demo.processes import own_domain
 
 FRAMES = ("odom", "base_link")
 # A small learner, as it is not what is tried here; and no clock, so that any stamp may come.

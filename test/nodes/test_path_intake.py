@@ -18,7 +18,7 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import serialize_message
 
-from adp_path_follower.analysis.drive import drive_of
+from adp_path_follower.analysis.recorded_run import drive_of
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.cdr import CdrError

@@ -23,8 +23,8 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.messages.configuration import configuration_text, parse_configuration
-from adp_path_follower.nodes.closed_loop import run_closed_loop
 from adp_path_follower.ros import republisher
+from adp_path_follower.study.demo.closed_loop import run_closed_loop
 from adp_path_follower.study.replay.closed_loop import rerun
 from adp_path_follower.study.replay.replay import replay
 from adp_path_follower.study.replay.republish import recorded_messages

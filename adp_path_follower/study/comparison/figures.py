@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from adp_path_follower.analysis.style import COLORS, STYLE
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 _LEAST_LOSS = 1e-6  # of J*: what is drawn for less, and for less than nothing

@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from adp_path_follower.analysis.style import COLORS, STYLE
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 from adp_path_follower.study.optimum.problem import Motion
 
 _LABELS = ("s [m]", "y [m]", "θ [rad]", "v_e [m/s]", "ω_e [rad/s]")

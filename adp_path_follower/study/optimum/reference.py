@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.resources
 import json
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,29 +17,10 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
+from adp_path_follower.drawing.run_figures import ReferenceMotion
 from adp_path_follower.study.simulation.simulate import PAPER_START
 
 COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
-
-
-@dataclass(frozen=True)
-class ReferenceMotion:
-    """An optimal motion that a run is compared with.
-
-    Attributes:
-        cost: J*.
-        time: Shape (N,) [s].
-        error: e = [s, y, theta], shape (N, 3).
-        modified_input: u = [v_e, w_e], shape (N, 2).
-        position: x, y in the world [m], shape (N, 2), where it is known.
-
-    """
-
-    cost: float
-    time: FloatArray
-    error: FloatArray
-    modified_input: FloatArray
-    position: FloatArray | None = None
 
 
 def paper_optimum() -> ReferenceMotion:

@@ -8,9 +8,11 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from adp_path_follower.analysis.figures import draw_figures, view_of_simulation
-from adp_path_follower.analysis.style import COLORS, STYLE
+from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
+from adp_path_follower.drawing.run_figures import RunView, draw_figures
 from adp_path_follower.study.paper.reproduce import PaperRun, Reproduction, Theorem
+from adp_path_follower.study.simulation.trajectories import Trajectories
 
 
 def draw_paper(found: Reproduction, directory: Path) -> list[Path]:
@@ -99,3 +101,21 @@ def _lyapunov(theorem: Theorem) -> Figure:
     axes.legend()
     figure.tight_layout()
     return figure
+
+
+def view_of_simulation(
+    trajectories: Trajectories, run: int, path: FollowedPath, labels: tuple[str, ...]
+) -> RunView:
+    """Return the view of one run of a simulation."""
+    return RunView(
+        time=trajectories.time,
+        path=path.points(0.05)[:, :2],
+        track=trajectories.pose[run],
+        target=path.frame(trajectories.arc_length[run]).pose[:, :2],
+        error=trajectories.error[run],
+        modified_input=trajectories.modified_input[run],
+        weight_time=trajectories.time,
+        critic_weights=trajectories.critic_weights[run],
+        actor_weights=trajectories.actor_weights[run],
+        labels=labels,
+    )

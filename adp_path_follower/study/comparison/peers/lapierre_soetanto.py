@@ -53,7 +53,7 @@ class LapierreSoetanto(PeerController):
     out, for v_des is positive.
 
     The law leaves the speed open; usual is v = v_des. `TUNED_GAINS` have v = v_des - k s and are
-    the best by the score of `controllers` of k = 0.5, 0.75, 1, 1.25 1/s and gamma = 0.5, 1, 2 1/m^2.
+    the best by the score of `controllers`: k = 0.5, 0.75, 1, 1.25 1/s, gamma = 0.5, 1, 2 1/m^2.
     """
 
     def __init__(

@@ -10,17 +10,33 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from adp_path_follower.analysis.style import COLORS, STYLE
-from adp_path_follower.bags.columns import Series
-from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path as FollowedPath
-from adp_path_follower.study.optimum.reference import ReferenceMotion
-from adp_path_follower.study.replay.replay import Replay
-from adp_path_follower.study.simulation.trajectories import Trajectories
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 
 _TRANSIENT = 15.0  # [s] that the left panels show
+
+
 _START = 8.0  # [s] that the close-up of the path shows
+
+
+@dataclass(frozen=True)
+class ReferenceMotion:
+    """An optimal motion that a run is compared with.
+
+    Attributes:
+        cost: J*.
+        time: Shape (N,) [s].
+        error: e = [s, y, theta], shape (N, 3).
+        modified_input: u = [v_e, w_e], shape (N, 2).
+        position: x, y in the world [m], shape (N, 2), where it is known.
+
+    """
+
+    cost: float
+    time: FloatArray
+    error: FloatArray
+    modified_input: FloatArray
+    position: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -51,49 +67,6 @@ class RunView:
     critic_weights: FloatArray
     actor_weights: FloatArray
     labels: tuple[str, ...]
-
-
-def view_of_replay(run: Run, replay: Replay) -> RunView:
-    """Return the view of a recorded run: its weights as recorded, the rest as replayed."""
-    start = replay.stamp[0]
-    nothing = Series(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
-    critic = run.series.get("critic_weights", nothing)
-    actor = run.series.get("actor_weights", nothing)
-    count = min(len(critic.stamp), len(actor.stamp))
-    time = (replay.stamp - start) * 1e-9
-    # Weights carry no stamp. With one message for each step they belong to the steps in order;
-    # else the time of their arrival, which lags, must do.
-    every_step = count == len(time)
-    return RunView(
-        time=time,
-        path=replay.follower.path.points(0.05)[:, :2],
-        track=replay.pose,
-        target=np.array([output.target_pose[:2] for output in replay.outputs]),
-        error=np.array([output.error for output in replay.outputs]),
-        modified_input=np.array([output.modified_input for output in replay.outputs]),
-        weight_time=time if every_step else (critic.stamp[:count] - start) * 1e-9,
-        critic_weights=critic.values[:count],
-        actor_weights=actor.values[:count],
-        labels=critic.labels,
-    )
-
-
-def view_of_simulation(
-    trajectories: Trajectories, run: int, path: FollowedPath, labels: tuple[str, ...]
-) -> RunView:
-    """Return the view of one run of a simulation."""
-    return RunView(
-        time=trajectories.time,
-        path=path.points(0.05)[:, :2],
-        track=trajectories.pose[run],
-        target=path.frame(trajectories.arc_length[run]).pose[:, :2],
-        error=trajectories.error[run],
-        modified_input=trajectories.modified_input[run],
-        weight_time=trajectories.time,
-        critic_weights=trajectories.critic_weights[run],
-        actor_weights=trajectories.actor_weights[run],
-        labels=labels,
-    )
 
 
 def draw_figures(
@@ -242,19 +215,3 @@ def _named_terms(view: RunView) -> list[int]:
         return list(range(len(view.labels)))
     size = np.abs(view.critic_weights).max(axis=0)
     return sorted(np.argsort(-size)[: 2 * len(COLORS) - 4].tolist())
-
-
-def draw_replay(replay: Replay, file: Path) -> None:
-    """Draw recorded and replayed commands over time."""
-    time = (replay.stamp - replay.stamp[0]) * 1e-9
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 5.0))
-        panels = figure.subplots(2, 1, sharex=True)
-        for column, (axes, label) in enumerate(zip(panels, ("v [m/s]", "ω [rad/s]"), strict=True)):
-            axes.plot(time, replay.recorded[:, column], color="0.6", linewidth=3, label="recorded")
-            axes.plot(time, replay.replayed[:, column], color=COLORS[1], label="replayed")
-            axes.set_ylabel(label)
-        panels[0].set_title("Commands to the recorded odometry")
-        panels[0].legend()
-        panels[1].set_xlabel("time [s]")
-        figure.savefig(file, bbox_inches="tight")

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
-from adp_path_follower.analysis.bag_metrics import METRICS, Metric, Requirement
-from adp_path_follower.analysis.charts import Charts
-from adp_path_follower.analysis.page import write_page
+from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.page_figures import motions, page_figures
-from adp_path_follower.analysis.palette import DISTANCE_SCALES, color
+from adp_path_follower.drawing.charts import Charts
+from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, color
+from adp_path_follower.drawing.page import write_page
 
 CAPTIONS = {
     "track": (

@@ -16,7 +16,7 @@ from adp_path_follower.core.geometry import FloatArray, pose_in_frame, yaw_of_qu
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import Value, flatten
-from adp_path_follower.nodes.processes import NodeProcess, own_domain
+from adp_path_follower.study.demo.processes import NodeProcess, own_domain
 from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
 
 _READY_TIMEOUT = 60.0  # [s] for a slow machine to import rclpy four times

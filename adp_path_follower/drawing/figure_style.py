@@ -1,8 +1,18 @@
-"""The colours of bags and curves, the same on the page and in the pictures beside it."""
+"""How every figure looks."""
 
 from __future__ import annotations
 
-# Okabe and Ito's, but for those that vanish on a white or on a black page.
+STYLE = {
+    "axes.grid": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "figure.dpi": 130,
+    "font.size": 10,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+}
+
+# Okabe and Ito's colours, without those that vanish on a white or on a black page.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6FDF", "#A6761D")
 
 # From the path outwards. Each is the part of Viridis that stands out from its page: what is far

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from adp_path_follower.analysis.metrics import RunMetrics
+from adp_path_follower.study.demo.metrics import RunMetrics
 from adp_path_follower.study.optimum.reference import COST_HORIZON
 
 _CAPTIONS = {

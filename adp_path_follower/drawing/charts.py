@@ -1,0 +1,140 @@
+"""Data of charts, whoever draws them: page or PNG.
+
+Curves are decimated, so that a chart stays small however long the bag is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.drawing.decimation import extremes
+
+_PATH_POINTS = 4000  # of all paths, shared by the bags
+_LEAST_PATH_POINTS = 12  # of each path, however many there are
+_BINS = 60
+_GREATEST = 1e30  # that is drawn; the page has single precision, and the axes need room beyond
+
+
+@dataclass(frozen=True)
+class Line:
+    """A curve: time [s] and values, shape (N,) each; a background one is drawn in grey."""
+
+    name: str
+    time: FloatArray
+    values: FloatArray
+    background: bool = False
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves over one axis.
+
+    Attributes:
+        label: Of the axis, with its unit.
+        lines: The curves.
+        limits: Values that the curves may not leave.
+        logarithmic: Whether the axis is.
+
+    """
+
+    label: str
+    lines: tuple[Line, ...]
+    limits: tuple[float, ...] = ()
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """How often which value was there: bins between `edges` (N + 1) and `counts` (N,)."""
+
+    label: str
+    edges: FloatArray
+    counts: np.ndarray
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where the robot drove.
+
+    Attributes:
+        path: Positions along all paths, one after the other with a row of NaN between, (N, 2).
+        time: Of the points of the track [s], shape (T,).
+        position: x, y, shape (T, 2).
+        cross_track: Distance from the path with its sign [m], shape (T,).
+        color_limit: Distance from which on all have one colour [m].
+        moving_time: Times at which the whole is known where it was [s], shape (M,).
+        robot: x, y, theta then, shape (M, 3).
+        target: x, y of the virtual target then, shape (M, 2); NaN where it was not recorded.
+
+    """
+
+    path: FloatArray
+    time: FloatArray
+    position: FloatArray
+    cross_track: FloatArray
+    color_limit: float
+    moving_time: FloatArray
+    robot: FloatArray
+    target: FloatArray
+
+
+@dataclass(frozen=True)
+class Charts:
+    """The figures of one bag: key -> panels or histogram."""
+
+    track: Track
+    panels: dict[str, tuple[Panel, ...]]
+    histograms: dict[str, Histogram]
+
+
+def line_of(
+    name: str, time: FloatArray, values: FloatArray, buckets: int, background: bool = False
+) -> Line:
+    """Return the curve through values (N,) at times (N,) with at most 2 `buckets` + 2 points."""
+    values = drawable(values)
+    kept = extremes(values, buckets)
+    return Line(name, time[kept], values[kept], background)
+
+
+def drawable(values: FloatArray) -> FloatArray:
+    """Return values with a gap where a damaged message held what no figure can show."""
+    return np.where(np.abs(values) <= _GREATEST, values, np.nan)
+
+
+def above_zero(values: FloatArray) -> FloatArray:
+    """Return absolute values that a logarithmic axis can show, same shape."""
+    return np.asarray(np.maximum(np.abs(values), 1e-16))  # a logarithmic axis has no zero
+
+
+def histogram(label: str, values: FloatArray) -> Histogram:
+    """Return the histogram of the finite ones of values (N,)."""
+    values = values[np.isfinite(values)]
+    # Even where all values are the same but for rounding the bins have a width to be seen, and the
+    # usual value is in the middle of one: at an edge, rounding would tear it apart.
+    usual = float(np.median(values))
+    least = max(0.05 * abs(usual), 0.05)
+    low, high = min(float(values.min()), usual - least), max(float(values.max()), usual + least)
+    width = (high - low) / _BINS
+    first, last = math.floor((low - usual) / width), math.ceil((high - usual) / width)
+    edges = np.asarray(usual + width * (np.arange(first, last + 2) - 0.5), dtype=float)
+    return Histogram(label, edges, np.histogram(values, edges)[0])
+
+
+def path_line(paths: Sequence[Path], bags: int) -> FloatArray:
+    """Return positions along all paths as one line with gaps, shape (N, 2).
+
+    However many there are, each keeps a few points, so that its shape is to be seen.
+    """
+    spacing = max(0.05, sum(path.length for path in paths) * bags / _PATH_POINTS)
+    gap = np.full((1, 2), np.nan)
+    pieces = []
+    for path in paths:
+        finest = max(0.05, path.length / _LEAST_PATH_POINTS)
+        pieces += [path.points(min(spacing, finest))[:, :2], gap]
+    return np.concatenate(pieces[:-1])
