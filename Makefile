@@ -35,11 +35,11 @@ docs: $(VENV)/ready  ## Generate docs/parameters.md
 
 bench: $(VENV)/ready-test  ## Measure ticks, learning steps, simulation and the node
 	@rm -f $(BENCH_RESULTS)
-	$(BENCH) bench/tick.py --json $(BENCH_RESULTS)
-	$(BENCH) bench/policy.py --json $(BENCH_RESULTS) --figure docs/images/learning_step.png
-	$(BENCH) bench/simulation.py --json $(BENCH_RESULTS)
-	$(BENCH) bench/node.py --json $(BENCH_RESULTS)
-	@$(BENCH) bench/timing.py $(BENCH_RESULTS)
+	$(BENCH) bench/speed/tick.py --json $(BENCH_RESULTS)
+	$(BENCH) bench/speed/policy.py --json $(BENCH_RESULTS) --figure docs/images/learning_step.png
+	$(BENCH) bench/speed/simulation.py --json $(BENCH_RESULTS)
+	$(BENCH) bench/speed/node.py --json $(BENCH_RESULTS)
+	@$(BENCH) bench/speed/timing.py $(BENCH_RESULTS)
 
 clean:  ## Remove the virtual environment and what tools left behind
 	rm -rf $(VENV) build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache

@@ -2,12 +2,12 @@
 
 import re
 from glob import glob
-from pathlib import Path
+from pathlib import Path as FilePath
 
 from setuptools import find_packages, setup
 
 NAME = "adp_path_follower"
-VERSION = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
+VERSION = re.search(r'__version__ = "(.+)"', FilePath(NAME, "__init__.py").read_text()).group(1)
 
 JAZZY_WHEELS = [
     "ros-jazzy-rclpy",
@@ -23,7 +23,7 @@ setup(
     name=NAME,
     version=VERSION,
     description="Path following for unicycle robots by online approximate optimal control",
-    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description=FilePath("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
     maintainer="adp_path_follower maintainers",

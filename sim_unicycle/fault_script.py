@@ -6,12 +6,12 @@ import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from pathlib import Path
+from pathlib import Path as FilePath
 
 from adp_path_follower.core.errors import FileError, SettingsError
 from adp_path_follower.core.files import read_yaml
 from adp_path_follower.core.settings.schema import Value, build, checked, setting_fields, update
-from adp_path_follower.shared_files import config_file
+from adp_path_follower.resources import config_file
 from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
 
 _FIELDS = {field.name: field for field in setting_fields(SimulatorSettings)}
@@ -108,9 +108,9 @@ def read_fault_script(name: str) -> FaultScript:
     return FaultScript(tuple(found))
 
 
-def _found(name: str) -> Path:
+def _found(name: str) -> FilePath:
     """Return the file of a script."""
-    file = Path(name)
+    file = FilePath(name)
     if file.suffix or file.exists():
         return file
     try:

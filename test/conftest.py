@@ -5,10 +5,95 @@ from adp_path_follower.threads import use_one_blas_thread
 use_one_blas_thread()  # as the executables do; before anything imports numpy
 
 import os
+from collections.abc import Callable, Iterator
+from pathlib import Path as FilePath
+from typing import Any
 
 import hypothesis
+import pytest
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 # The same examples on every machine and in every run; HYPOTHESIS_PROFILE=search looks for others.
 hypothesis.settings.register_profile("repeatable", derandomize=True)
 hypothesis.settings.register_profile("search", derandomize=False)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """Yield the number of a DDS domain that nobody else uses."""
+    from adp_path_follower.study.demo.processes import own_domain
+
+    with own_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def peer(domain: int) -> Iterator[Any]:
+    """Yield a node in the test process, on the domain of the test."""
+    from live_nodes import Peer
+
+    found = Peer(domain)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def start(domain: int, tmp_path: FilePath) -> Iterator[Callable[..., Any]]:
+    """Yield a function that starts nodes; they end with the test."""
+    from adp_path_follower.study.demo.processes import NodeProcess
+
+    running: list[NodeProcess] = []
+
+    def starter(executable: str, *arguments: str, **parameters: Any) -> NodeProcess:
+        log = tmp_path / f"{executable}_{len(running)}.log"
+        node = NodeProcess(executable, parameters, log=log, domain=domain, arguments=arguments)
+        running.append(node)
+        return node
+
+    yield starter
+    for node in running:
+        node.stop()
+        print(f"{node.log}:\n{node.output()}")  # for whoever reads why a test failed
+        assert "Traceback" not in node.output(), node.output()
+
+
+@pytest.fixture
+def drive(peer: Any, start: Callable[..., Any]) -> Any:
+    """Return a controller that follows a line."""
+    from live_nodes import Drive
+
+    return Drive(peer, start)
+
+
+@pytest.fixture(scope="session")
+def paper() -> Any:
+    """Return the paper's settings, all of them explicit and without limits of the command."""
+    from printed import PAPER_SETTINGS
+
+    return PAPER_SETTINGS
+
+
+@pytest.fixture(scope="session")
+def figure_eight() -> Any:
+    """Return the product's figure eight."""
+    from adp_path_follower.core.path.library import lissajous
+
+    return lissajous()
+
+
+@pytest.fixture(scope="session")
+def printed() -> Any:
+    """Return the paper's formulas, written from the paper and for one state at a time."""
+    from printed import PrintedFormulas
+
+    return PrintedFormulas()
+
+
+@pytest.fixture(scope="session")
+def explicit() -> Any:
+    """Return the class of explicit polynomials of the error."""
+    from printed import ExplicitPolynomial
+
+    return ExplicitPolynomial

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import math
 import re
-from pathlib import Path
 
 import pytest
 import yaml
@@ -16,9 +15,9 @@ from adp_path_follower.cli.parameters import parameters
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
+from folders import ROOT
 from sim_unicycle.settings import SimulatorSettings
 
-ROOT = Path(__file__).parents[1]
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 
 
@@ -119,7 +118,7 @@ def test_the_table_of_faults_is_that_of_the_bench_and_its_tests_exist():
     )
     (faults,) = [
         node.value
-        for node in ast.parse((ROOT / "bench" / "fault_table.py").read_text()).body
+        for node in ast.parse((ROOT / "bench" / "endurance" / "fault_table.py").read_text()).body
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FAULTS"
     ]
     assert isinstance(faults, ast.Dict)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import ast
 import re
 import runpy
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from folders import ROOT
+
 LAUNCH_FILE = ROOT / "launch" / "follow.launch.py"
 DOCUMENTED = {
     "params_file",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import numpy as np
 
@@ -52,7 +52,7 @@ class BagAnalysis:
         return with_states(self.metrics, self.states)
 
 
-def names_of(bags: Sequence[Path]) -> list[str]:
+def names_of(bags: Sequence[FilePath]) -> list[str]:
     """Return a name for each bag: its own, with as many folders before it as tell it from others.
 
     A bag that is given twice gets a number.
@@ -70,15 +70,15 @@ def names_of(bags: Sequence[Path]) -> list[str]:
             len(own),
         )
         again = parts[:number].count(own)
-        found.append(str(Path(*own[-shown:])) + (f" ({again + 1})" if again else ""))
+        found.append(str(FilePath(*own[-shown:])) + (f" ({again + 1})" if again else ""))
     return found
 
 
 def analyse_bag(
-    bag: Path,
+    bag: FilePath,
     names: Mapping[str, str],
     bags: int,
-    trajectory: Path,
+    trajectory: FilePath,
     progress: Callable[[float], None] | None = None,
     title: str | None = None,
 ) -> BagAnalysis:
@@ -115,7 +115,7 @@ def analyse_bag(
     )
 
 
-def _write_tum(drive: Drive, file: Path) -> None:
+def _write_tum(drive: Drive, file: FilePath) -> None:
     """Write stamp [s], position and quaternion while driving, one pose a line (TUM format)."""
     driving = drive.driving
     stamps = drive.start + np.rint(drive.odometry.time[driving] * 1e9).astype(np.int64)

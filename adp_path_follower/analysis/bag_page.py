@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -85,7 +85,7 @@ class _Row:
 
 
 def write_report(
-    analyses: Sequence[BagAnalysis], requirements: Sequence[Requirement], file: Path
+    analyses: Sequence[BagAnalysis], requirements: Sequence[Requirement], file: FilePath
 ) -> None:
     """Write the page about one or several bags."""
     figures = page_figures(analyses)

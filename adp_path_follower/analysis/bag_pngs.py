@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import matplotlib as mpl
 import numpy as np
@@ -16,7 +16,7 @@ from adp_path_follower.analysis.events import KINDS
 from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, STYLE, color, is_dashed
 
 
-def draw_bags(analyses: Sequence[BagAnalysis], directory: Path) -> list[Path]:
+def draw_bags(analyses: Sequence[BagAnalysis], directory: FilePath) -> list[FilePath]:
     """Draw the figures of one or several bags; return the files."""
     directory.mkdir(parents=True, exist_ok=True)
     charts = [analysis.charts for analysis in analyses]

@@ -5,16 +5,16 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import numpy as np
 
-from adp_path_follower.analysis.projection import Projection, project
 from adp_path_follower.analysis.segments import segments_driven
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Diagnostic, Run
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.projection import Projection, project
 from adp_path_follower.core.path.route import Route, Segment
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import parse_configuration
@@ -110,7 +110,7 @@ class Drive:
         return np.asarray((self.odometry.time >= 0.0) & (self.odometry.time <= self.end))
 
 
-def drive_of(bag: Path, run: Run) -> Drive:
+def drive_of(bag: FilePath, run: Run) -> Drive:
     """Return the drive that a run holds.
 
     Raises:
@@ -152,7 +152,7 @@ def drive_of(bag: Path, run: Run) -> Drive:
     )
 
 
-def _odometry(bag: Path, run: Run, notes: list[str]) -> Series:
+def _odometry(bag: FilePath, run: Run, notes: list[str]) -> Series:
     """Return the odometry in order of its stamps, each once, without what is not finite."""
     found = run.series.get("odom")
     if found is None:
@@ -173,7 +173,7 @@ def _sound(values: FloatArray) -> np.ndarray:
     return np.asarray((np.abs(values) < _GREATEST).all(axis=1))  # NaN is not below, either
 
 
-def _routes(bag: Path, run: Run, notes: list[str]) -> tuple[list[Route], np.ndarray]:
+def _routes(bag: FilePath, run: Run, notes: list[str]) -> tuple[list[Route], np.ndarray]:
     """Return the routes that can be followed, and when their paths arrived [ns]."""
     if not run.paths:
         raise FileError(f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path")

@@ -6,7 +6,7 @@ import contextlib
 import os
 import threading
 from collections import deque
-from pathlib import Path
+from pathlib import Path as FilePath
 
 _BATCH = 256 * 1024  # [bytes] that are handed to the thread without being asked
 _MOST_WAITING = 64 * 1024 * 1024  # [bytes]; beyond it the disk sets the pace, as memory is bounded
@@ -19,7 +19,7 @@ class BackgroundFile:
     file is cut behind the last piece that fits. The rest waits for another attempt by `close`.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: FilePath) -> None:
         """Create the file and start its thread.
 
         Raises:

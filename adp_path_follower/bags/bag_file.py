@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
@@ -62,7 +62,7 @@ class FileFormat:
 class BagFile:
     """A file with its own schemas, channels, index and statistics."""
 
-    def __init__(self, path: Path, file_format: FileFormat) -> None:
+    def __init__(self, path: FilePath, file_format: FileFormat) -> None:
         """Create the file.
 
         Raises:

@@ -7,7 +7,7 @@ import os
 import re
 import sys
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 from rosbags.interfaces import Nodetype
@@ -92,7 +92,7 @@ def _inner_type(kind: tuple[Nodetype, Any]) -> str:
     return ""
 
 
-def _message_file(type_name: str) -> Path:
+def _message_file(type_name: str) -> FilePath:
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
         raise UnknownTypeError("only types named PACKAGE/msg/NAME can be recorded")
@@ -100,7 +100,7 @@ def _message_file(type_name: str) -> Path:
     # Wheels of ROS 2 install below Python's own prefix, where no setup file has to be sourced.
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     for prefix in filter(None, prefixes):
-        file = Path(prefix, "share", package, "msg", f"{name}.msg")
+        file = FilePath(prefix, "share", package, "msg", f"{name}.msg")
         if file.is_file():
             return file
     raise UnknownTypeError(f"no installed package has the file share/{package}/msg/{name}.msg")

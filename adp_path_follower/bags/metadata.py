@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import yaml
@@ -55,7 +55,7 @@ def bag_information(
     }
 
 
-def write_metadata(directory: Path, information: Mapping[str, Any]) -> None:
+def write_metadata(directory: FilePath, information: Mapping[str, Any]) -> None:
     """Write metadata.yaml in one step, so that it is always whole.
 
     Raises:

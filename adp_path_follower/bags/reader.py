@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -109,7 +109,7 @@ class Run:
 
 
 def read_run(
-    bag: Path,
+    bag: FilePath,
     names: Mapping[str, str] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
@@ -145,7 +145,7 @@ def read_run(
         ) from None
 
 
-def _refuse_what_is_no_bag(bag: Path) -> None:
+def _refuse_what_is_no_bag(bag: FilePath) -> None:
     """Say what is there instead of a bag, before the library says that it cannot be read.
 
     Raises:
@@ -174,7 +174,7 @@ def _refuse_what_is_no_bag(bag: Path) -> None:
 
 
 def _chosen(
-    bag: Path, connections: list[Connection], names: Mapping[str, str]
+    bag: FilePath, connections: list[Connection], names: Mapping[str, str]
 ) -> dict[str, tuple[str, tuple[str, ...]]]:
     """Return key -> topic and notes about it."""
     types = {connection.topic: connection.msgtype for connection in connections}

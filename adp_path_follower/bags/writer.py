@@ -11,7 +11,7 @@ import contextlib
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import yaml
@@ -62,7 +62,7 @@ class BagWriter:
 
     def __init__(
         self,
-        directory: Path,
+        directory: FilePath,
         custom_data: Mapping[str, str] | None = None,
         *,
         chunked: bool = False,

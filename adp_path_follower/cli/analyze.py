@@ -6,7 +6,7 @@ import itertools
 import math
 import sys
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -38,8 +38,8 @@ if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to rep
     help="Exit with 1 if a bag does not keep this; may be given several times.",
 )
 def analyze(
-    bags: tuple[Path, ...],
-    directory: Path | None,
+    bags: tuple[FilePath, ...],
+    directory: FilePath | None,
     odom: str | None,
     cmd: str | None,
     path: str | None,
@@ -66,7 +66,7 @@ def analyze(
 
     limits = [parse_requirement(text) for text in requirements]
     topics = given_topics(odom=odom, cmd=cmd, path=path)
-    directory = directory or Path(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
+    directory = directory or FilePath(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
     analyses: list[BagAnalysis] = []
     with output_directory(directory):
         for number, (bag, name) in enumerate(zip(bags, names_of(bags), strict=True), start=1):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -23,7 +23,7 @@ from adp_path_follower.cli.options import (
 from adp_path_follower.cli.outputs import output_directory, write_json
 from adp_path_follower.core.files import output_to, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path as PlanarPath
+from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.inf")
-_FORTY_STARTS = Path(__file__).parents[1] / "data" / "forty_starts.csv"
+_FORTY_STARTS = FilePath(__file__).parents[1] / "data" / "forty_starts.csv"
 
 
 @click.command()
@@ -65,19 +65,19 @@ _FORTY_STARTS = Path(__file__).parents[1] / "data" / "forty_starts.csv"
     "is not given).",
 )
 def compare(
-    params: Path | None,
+    params: FilePath | None,
     assignments: tuple[str, ...],
-    sim_params: Path | None,
+    sim_params: FilePath | None,
     sim_assignments: tuple[str, ...],
     path_names: tuple[str, ...],
     starts: tuple[tuple[float, float, float], ...],
-    starts_file: Path | None,
+    starts_file: FilePath | None,
     start_arc_length: float,
     duration: float,
     controllers: str | None,
     list_them: bool,
     unlimited: bool,
-    directory: Path | None,
+    directory: FilePath | None,
 ) -> None:
     r"""Compare the controller with its peers, and all with the offline optimum.
 
@@ -111,7 +111,7 @@ def compare(
     else:
         errors = np.asarray(read_csv_columns(_FORTY_STARTS, ("s", "y", "theta")))
     paths = {name: named_path(name, settings.path) for name in path_names or ("lissajous",)}
-    directory = directory or Path(datetime.now().strftime("adp_compare_%Y_%m_%d-%H_%M_%S"))
+    directory = directory or FilePath(datetime.now().strftime("adp_compare_%Y_%m_%d-%H_%M_%S"))
     problems = []
     with output_directory(directory, keep=True):
         problems = _compare_on(
@@ -129,7 +129,7 @@ def compare(
     sys.exit(1 if problems else 0)
 
 
-def _compare_on(paths: dict[str, PlanarPath], directory: Path, **common: Any) -> list[str]:
+def _compare_on(paths: dict[str, Path], directory: FilePath, **common: Any) -> list[str]:
     """Compare on each path, and say and write what was found; return what went wrong."""
     from adp_path_follower.study.comparison.compare import compare as run_comparison
 
@@ -199,7 +199,7 @@ def _ratio(value: float) -> str:
     return f"{value:9.4f}" if value < 100.0 else f"{'>100' if np.isfinite(value) else 'failed':>9}"
 
 
-def _write(found: list[Comparison], directory: Path, figures: Path) -> None:
+def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> None:
     """Write table and numbers of all paths so far, and the figures of the last one."""
     from adp_path_follower.study.comparison.figures import draw_comparison
 

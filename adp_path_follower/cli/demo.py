@@ -6,7 +6,7 @@ import dataclasses
 import math
 import time
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import click
@@ -21,7 +21,7 @@ from adp_path_follower.cli.options import (
 )
 from adp_path_follower.cli.outputs import new_directory, write_json
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
@@ -50,12 +50,12 @@ from sim_unicycle.settings import SimulatorSettings
     help="Simulated time [s].",
 )
 def demo(
-    params: Path | None,
+    params: FilePath | None,
     assignments: tuple[str, ...],
-    sim_params: Path | None,
+    sim_params: FilePath | None,
     sim_assignments: tuple[str, ...],
     path_name: str,
-    directory: Path | None,
+    directory: FilePath | None,
     duration: float,
 ) -> None:
     r"""Drive the paper's figure eight with real ROS 2 nodes.
@@ -78,7 +78,7 @@ def demo(
     path = named_path(path_name)
     _require_ros()
     directory = new_directory(
-        directory or Path(datetime.now().strftime("adp_demo_%Y_%m_%d-%H_%M_%S"))
+        directory or FilePath(datetime.now().strftime("adp_demo_%Y_%m_%d-%H_%M_%S"))
     )
     started = time.monotonic()
     bag = _run(settings, simulator, path, path_name, duration, directory)
@@ -98,11 +98,11 @@ def _require_ros() -> None:
 def _run(
     settings: Settings,
     simulator: SimulatorSettings,
-    path: FollowedPath,
+    path: Path,
     path_name: str,
     duration: float,
-    directory: Path,
-) -> Path:
+    directory: FilePath,
+) -> FilePath:
     """Run the nodes with a progress bar and return the bag."""
     from adp_path_follower.study.demo.closed_loop import Progress, run_closed_loop
 
@@ -149,7 +149,7 @@ def _run(
     return bag
 
 
-def _report(bag: Path, directory: Path, duration: float, wall_time: float) -> None:
+def _report(bag: FilePath, directory: FilePath, duration: float, wall_time: float) -> None:
     """Draw, measure, write and print what happened."""
     from adp_path_follower.bags.reader import read_run
     from adp_path_follower.drawing.run_figures import draw_figures

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -26,7 +26,7 @@ from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.path.speed_profile import speed_varies
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.shared_files import config_file
+from adp_path_follower.resources import config_file
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.optimum.collocation import Optimum
@@ -58,17 +58,17 @@ class _Row:
 @click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the motions.")
 @click.option("--figure", "figure_file", type=FILE, metavar="FILE.png", help="Draw the motions.")
 def optimum(
-    params: Path | None,
+    params: FilePath | None,
     assignments: tuple[str, ...],
     path_name: str,
     starts: tuple[tuple[float, float, float], ...],
-    starts_file: Path | None,
+    starts_file: FilePath | None,
     start_arc_length: float,
     horizon: float,
     check: bool,
-    json_file: Path | None,
-    npz_file: Path | None,
-    figure_file: Path | None,
+    json_file: FilePath | None,
+    npz_file: FilePath | None,
+    figure_file: FilePath | None,
 ) -> None:
     r"""Find what the best controller would cost, by offline optimal control.
 
@@ -147,7 +147,10 @@ def _disagreement(found: Optimum, check_cost: float | None, start: FloatArray) -
 
 
 def _write(
-    rows: list[_Row], json_file: Path | None, npz_file: Path | None, figure_file: Path | None
+    rows: list[_Row],
+    json_file: FilePath | None,
+    npz_file: FilePath | None,
+    figure_file: FilePath | None,
 ) -> None:
     """Write what was asked for."""
     if json_file is not None:

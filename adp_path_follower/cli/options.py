@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
 import click
@@ -21,7 +21,7 @@ from sim_unicycle.settings import SimulatorSettings
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-FILE = click.Path(path_type=Path)
+FILE = click.Path(path_type=FilePath)
 
 
 _TOPICS = {"odom": "odom", "cmd": "cmd_vel", "path": "path"}  # option -> what a topic is read as
@@ -62,7 +62,7 @@ def simulator_options(command: Command) -> Command:
     )(command)
 
 
-def load_simulator(file: Path | None, assignments: tuple[str, ...]) -> SimulatorSettings:
+def load_simulator(file: FilePath | None, assignments: tuple[str, ...]) -> SimulatorSettings:
     """Return the simulator's settings of --sim-params and --sim-set.
 
     Raises:
@@ -146,7 +146,7 @@ def cluster_options(command: Command) -> Command:
 
 
 def collect_starts(
-    starts: tuple[tuple[float, float, float], ...], starts_file: Path | None
+    starts: tuple[tuple[float, float, float], ...], starts_file: FilePath | None
 ) -> FloatArray:
     """Return the initial errors of --start and then of --starts, shape (B, 3).
 

@@ -9,7 +9,7 @@ import math
 import os
 import shutil
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import output_to
 
 
-def check_figure(file: Path | None) -> None:
+def check_figure(file: FilePath | None) -> None:
     """Refuse a figure of a kind that cannot be drawn, before any work is done.
 
     Raises:
@@ -36,7 +36,7 @@ def check_figure(file: Path | None) -> None:
         )
 
 
-def write_npz(file: Path, arrays: dict[str, Any]) -> None:
+def write_npz(file: FilePath, arrays: dict[str, Any]) -> None:
     """Write arrays to a compressed NumPy file of exactly this name.
 
     Raises:
@@ -50,7 +50,7 @@ def write_npz(file: Path, arrays: dict[str, Any]) -> None:
         file.write_bytes(content.getvalue())
 
 
-def check_writable(*files: Path | None) -> None:
+def check_writable(*files: FilePath | None) -> None:
     """Refuse output files that cannot be written, before any work is done.
 
     Raises:
@@ -69,7 +69,7 @@ def check_writable(*files: Path | None) -> None:
             raise FileError(f"output {file} cannot be written: permission denied")
 
 
-def new_directory(directory: Path) -> Path:
+def new_directory(directory: FilePath) -> FilePath:
     """Return an output directory, made if needed.
 
     Raises:
@@ -90,7 +90,7 @@ def new_directory(directory: Path) -> Path:
 
 
 @contextlib.contextmanager
-def output_directory(directory: Path, keep: bool = False) -> Iterator[Path]:
+def output_directory(directory: FilePath, keep: bool = False) -> Iterator[FilePath]:
     """Make an output directory, and take back what the block has written if the block fails.
 
     Half a report is of no use, and the same command again would be refused because of it.
@@ -117,7 +117,7 @@ def output_directory(directory: Path, keep: bool = False) -> Iterator[Path]:
         raise
 
 
-def write_json(file: Path, content: object) -> None:
+def write_json(file: FilePath, content: object) -> None:
     """Write JSON with null for numbers that are not finite, which JSON does not know.
 
     Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     help="Where figures and numbers go: a new or empty directory (adp_paper_DATE if it is not "
     "given).",
 )
-def paper(directory: Path | None) -> None:
+def paper(directory: FilePath | None) -> None:
     """Reproduce the paper's figures, and what they do not show.
 
     Simulates the paper's run with its printed laws and constants and each width of the sample
@@ -35,7 +35,7 @@ def paper(directory: Path | None) -> None:
     from adp_path_follower.study.paper.reproduce import reproduce
 
     directory = new_directory(
-        directory or Path(datetime.now().strftime("adp_paper_%Y_%m_%d-%H_%M_%S"))
+        directory or FilePath(datetime.now().strftime("adp_paper_%Y_%m_%d-%H_%M_%S"))
     )
     with progress_bar("simulating and optimising") as progress:
         found = reproduce(progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import click
 
@@ -34,7 +34,7 @@ are refused are named in one sentence, and nothing changes.
     show_default=True,
     help="A commented parameter file, or tables for reading.",
 )
-def parameters(params: Path | None, assignments: tuple[str, ...], form: str) -> None:
+def parameters(params: FilePath | None, assignments: tuple[str, ...], form: str) -> None:
     r"""Show the parameters, as a YAML file or as a table.
 
     The YAML can be written to a file, changed, and given to every command and node:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import click
 
@@ -16,7 +16,7 @@ from adp_path_follower.cli.options import FILE, progress_bar
 @click.option(
     "--out", "output", type=FILE, metavar="DIR", help="The new bag; BAG_recovered by default."
 )
-def recover(bag: Path, output: Path | None) -> None:
+def recover(bag: FilePath, output: FilePath | None) -> None:
     r"""Save what can be read of a torn recording into a new bag.
 
     BAG is the directory of a rosbag2 bag (MCAP), or one .mcap file: cut off when a process or the

@@ -6,7 +6,7 @@ import contextlib
 import sys
 from collections.abc import Mapping
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import click
 import numpy as np
@@ -66,16 +66,16 @@ from adp_path_follower.study.replay.write_bag import write_replay
     help="Seconds of the bag in one second, for --republish.",
 )
 def replay(
-    bag: Path,
+    bag: FilePath,
     odom: str | None,
     cmd: str | None,
     path: str | None,
-    params: Path | None,
+    params: FilePath | None,
     assignments: tuple[str, ...],
     closed_loop: bool,
-    directory: Path | None,
-    csv_file: Path | None,
-    figure_file: Path | None,
+    directory: FilePath | None,
+    csv_file: FilePath | None,
+    figure_file: FilePath | None,
     republish: bool,
     rate: float,
 ) -> None:
@@ -104,7 +104,7 @@ def replay(
     changed = settings is not None or bool(overlay)
     name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
     is_kept = directory is not None or closed_loop or changed
-    output = output_directory(directory or Path(name)) if is_kept else contextlib.nullcontext()
+    output = output_directory(directory or FilePath(name)) if is_kept else contextlib.nullcontext()
     with output as folder:
         velocity: FloatArray | None = None
         differs = False
@@ -152,7 +152,7 @@ def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
 
 
 def _wanted(
-    params: Path | None, assignments: tuple[str, ...]
+    params: FilePath | None, assignments: tuple[str, ...]
 ) -> tuple[Settings | None, dict[str, object]]:
     """Return settings that replace the recorded ones, and what is laid over either of them."""
     if params is not None:
@@ -160,7 +160,7 @@ def _wanted(
     return None, dict(map(parse_assignment, assignments))
 
 
-def _republish(bag: Path, run: Run, rate: float) -> None:
+def _republish(bag: FilePath, run: Run, rate: float) -> None:
     try:
         from adp_path_follower.study.replay.republish import republish
     except ImportError:
@@ -178,7 +178,9 @@ def _republish(bag: Path, run: Run, rate: float) -> None:
         click.echo(f"adp: {damaged} messages cannot be decoded: passed over", err=True)
 
 
-def _write_comparison(found: Replay, csv_file: Path | None, figure_file: Path | None) -> None:
+def _write_comparison(
+    found: Replay, csv_file: FilePath | None, figure_file: FilePath | None
+) -> None:
     """Write recorded and replayed commands as a table, and as a picture."""
     if csv_file is not None:
         table = np.column_stack([_seconds(found), found.recorded, found.replayed])
@@ -192,7 +194,9 @@ def _write_comparison(found: Replay, csv_file: Path | None, figure_file: Path | 
             draw_replay(found, figure_file)
 
 
-def _write_report(bag: Path, topics: Mapping[str, str], replayed: Path, closed_loop: bool) -> None:
+def _write_report(
+    bag: FilePath, topics: Mapping[str, str], replayed: FilePath, closed_loop: bool
+) -> None:
     """Lay the recorded and the new run over each other, as `adp analyze` does."""
     recorded = {key: topics[key] for key in ("odom", "cmd_vel", "path") if key in topics}
     # The new commands, and the odometry of a simulator, are there by their usual names.

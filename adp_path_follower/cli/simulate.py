@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import click
 import numpy as np
@@ -23,7 +23,7 @@ from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.weights_file import read_weights
-from adp_path_follower.core.path.curve import Path as PlanarPath
+from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
@@ -67,20 +67,20 @@ _ROWS_SHOWN = 20
 )
 @click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the trajectories.")
 def simulate(
-    params: Path | None,
+    params: FilePath | None,
     assignments: tuple[str, ...],
-    sim_params: Path | None,
+    sim_params: FilePath | None,
     sim_assignments: tuple[str, ...],
     path_name: str,
     starts: tuple[tuple[float, float, float], ...],
-    starts_file: Path | None,
+    starts_file: FilePath | None,
     start_arc_length: float,
     duration: float,
     rate: float,
     learning: str,
-    weights_file: Path | None,
-    json_file: Path | None,
-    npz_file: Path | None,
+    weights_file: FilePath | None,
+    json_file: FilePath | None,
+    npz_file: FilePath | None,
 ) -> None:
     r"""Simulate the closed loop without ROS, from one or many starts.
 
@@ -135,7 +135,7 @@ def _speed(simulated: float, elapsed: float) -> str:
     return f"simulated {simulated:g} s in {elapsed:.1f} s: {each:.0f} simulated seconds per second"
 
 
-def _starting_from(file: Path, settings: Settings) -> ControllerFactory:
+def _starting_from(file: FilePath, settings: Settings) -> ControllerFactory:
     """Return what makes followers that start from a weights file.
 
     Raises:
@@ -144,7 +144,7 @@ def _starting_from(file: Path, settings: Settings) -> ControllerFactory:
     """
     saved, _ = read_weights(file, settings)
 
-    def make(settings: Settings, path: PlanarPath, arc_length: FloatArray) -> PathFollower:
+    def make(settings: Settings, path: Path, arc_length: FloatArray) -> PathFollower:
         follower = PathFollower(settings, path, arc_length)
         problem = follower.start_from(saved)
         if problem:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import click
 
 from adp_path_follower.cli.options import FILE, cluster_options, progress_bar
-from adp_path_follower.sweeping.extra import require_extra
+from adp_path_follower.extras import require_extra
 
 if TYPE_CHECKING:  # Dask and pyarrow are wanted when there is something to run
-    from adp_path_follower.sweeping.sweep_file import Sweep
+    from adp_path_follower.study.sweeps.request.sweep_file import Sweep
 
 
 @click.command()
@@ -28,8 +28,8 @@ if TYPE_CHECKING:  # Dask and pyarrow are wanted when there is something to run
 )
 @cluster_options
 def sweep(
-    file: Path,
-    directory: Path | None,
+    file: FilePath,
+    directory: FilePath | None,
     scheduler: str | None,
     workers: int | None,
     dry_run: bool,
@@ -46,8 +46,8 @@ def sweep(
     report.html (heat maps and the Pareto front) and best.yaml (the best settings).
     """
     require_extra("adp sweep")
-    from adp_path_follower.sweeping.plan import check_first_runs
-    from adp_path_follower.sweeping.sweep_file import read_sweep
+    from adp_path_follower.study.sweeps.request.sweep_file import read_sweep
+    from adp_path_follower.study.sweeps.workers.plan import check_first_runs
 
     asked = read_sweep(file)
     check_first_runs(asked)
@@ -60,8 +60,7 @@ def sweep(
 
 
 def _say_how_long(asked: Sweep, scheduler: str | None, workers: int | None) -> None:
-    from adp_path_follower.sweeping.estimate import in_words
-    from adp_path_follower.sweeping.sweep import estimate
+    from adp_path_follower.study.sweeps.workers.estimate import estimate, in_words
 
     conditions = asked.conditions
     click.echo(
@@ -78,11 +77,11 @@ def _say_how_long(asked: Sweep, scheduler: str | None, workers: int | None) -> N
 
 
 def _run(
-    asked: Sweep, title: str, directory: Path, scheduler: str | None, workers: int | None
+    asked: Sweep, title: str, directory: FilePath, scheduler: str | None, workers: int | None
 ) -> None:
-    from adp_path_follower.sweeping.estimate import in_words
-    from adp_path_follower.sweeping.overview import summary_text
-    from adp_path_follower.sweeping.sweep import run_sweep, write_results
+    from adp_path_follower.study.sweeps.overview import summary_text
+    from adp_path_follower.study.sweeps.sweep import run_sweep, write_results
+    from adp_path_follower.study.sweeps.workers.estimate import in_words
 
     begun = time.monotonic()
     fresh = 0

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import time
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import click
 
 from adp_path_follower.cli.options import FILE, cluster_options, progress_bar, settings_options
 from adp_path_follower.cli.outputs import write_json
-from adp_path_follower.sweeping.extra import require_extra
+from adp_path_follower.extras import require_extra
 
 if TYPE_CHECKING:  # Dask and Optuna are wanted when there is something to run
-    from adp_path_follower.sweeping.findings import Findings
-    from adp_path_follower.sweeping.tune_file import Tuning
+    from adp_path_follower.study.sweeps.findings import Findings
+    from adp_path_follower.study.sweeps.request.tune_file import Tuning
 
 
 @click.command()
@@ -52,13 +52,13 @@ if TYPE_CHECKING:  # Dask and Optuna are wanted when there is something to run
 )
 @cluster_options
 def tune(
-    file: Path | None,
-    params: Path | None,
+    file: FilePath | None,
+    params: FilePath | None,
     assignments: tuple[str, ...],
     vary: tuple[str, ...],
     objectives: tuple[str, ...],
     trials: int | None,
-    directory: Path | None,
+    directory: FilePath | None,
     storage: str | None,
     scheduler: str | None,
     workers: int | None,
@@ -77,7 +77,11 @@ def tune(
     best.yaml, which the node loads. An interrupted search goes on with the same command.
     """
     require_extra("adp tune")
-    from adp_path_follower.sweeping.tune_file import read_tuning, tuning_of_options, with_trials
+    from adp_path_follower.study.sweeps.request.tune_file import (
+        read_tuning,
+        tuning_of_options,
+        with_trials,
+    )
 
     if file is None:
         asked = tuning_of_options(params, assignments, vary, objectives)
@@ -99,8 +103,7 @@ def tune(
 
 
 def _say_how_long(asked: Tuning, scheduler: str | None, workers: int | None) -> None:
-    from adp_path_follower.sweeping.estimate import in_words
-    from adp_path_follower.sweeping.sweep import estimate
+    from adp_path_follower.study.sweeps.workers.estimate import estimate, in_words
 
     sweep = asked.runs_with(asked.conditions.settings)
     found = estimate(sweep, scheduler, workers)
@@ -119,17 +122,17 @@ def _say_how_long(asked: Tuning, scheduler: str | None, workers: int | None) -> 
 def _run(
     asked: Tuning,
     title: str,
-    directory: Path,
+    directory: FilePath,
     storage: str | None,
     scheduler: str | None,
     workers: int | None,
 ) -> None:
-    from adp_path_follower.sweeping import cluster
-    from adp_path_follower.sweeping.estimate import in_words
-    from adp_path_follower.sweeping.findings import findings, findings_text
-    from adp_path_follower.sweeping.output_folder import OutputFolder
-    from adp_path_follower.sweeping.study import open_study, tried
-    from adp_path_follower.sweeping.study import tune as run_tuning
+    from adp_path_follower.study.sweeps.findings import findings, findings_text
+    from adp_path_follower.study.sweeps.study import open_study, tried
+    from adp_path_follower.study.sweeps.study import tune as run_tuning
+    from adp_path_follower.study.sweeps.workers import cluster
+    from adp_path_follower.study.sweeps.workers.estimate import in_words
+    from adp_path_follower.study.sweeps.workers.output_folder import OutputFolder
 
     begun = time.monotonic()
     with OutputFolder(directory, "tune", asked.description()):
@@ -155,8 +158,8 @@ def _run(
     click.echo(f"\n{found.trials - there:,} trials in {in_words(time.monotonic() - begun)}")
 
 
-def _write(found: Findings, title: str, directory: Path) -> None:
-    from adp_path_follower.sweeping.findings import as_json, write_findings
+def _write(found: Findings, title: str, directory: FilePath) -> None:
+    from adp_path_follower.study.sweeps.findings import as_json, write_findings
 
     files = write_findings(found, title, directory)
     write_json(directory / "findings.json", as_json(found))

@@ -7,7 +7,7 @@ import csv
 import os
 import re
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ _Yaml.add_implicit_resolver(
 )
 
 
-def expanded(name: str) -> Path:
+def expanded(name: str) -> FilePath:
     """Return the file of a name, in which ~ stands for the user's home and ~USER for another's.
 
     Raises:
@@ -51,13 +51,13 @@ def expanded(name: str) -> Path:
 
     """
     try:
-        return Path(name).expanduser()
+        return FilePath(name).expanduser()
     except RuntimeError:
         home = name.partition("/")[0]
         raise FileError(f"file {name} cannot be found: '{home}' is nobody's home") from None
 
 
-def read_text(file: Path) -> str:
+def read_text(file: FilePath) -> str:
     """Return the content of a text file.
 
     Raises:
@@ -79,7 +79,7 @@ def read_text(file: Path) -> str:
     return text
 
 
-def write_whole(file: Path, content: bytes, unfinished: Path) -> None:
+def write_whole(file: FilePath, content: bytes, unfinished: FilePath) -> None:
     """Write a file as a whole or not at all, whatever happens meanwhile.
 
     Args:
@@ -103,7 +103,7 @@ def write_whole(file: Path, content: bytes, unfinished: Path) -> None:
 
 
 @contextlib.contextmanager
-def output_to(output: Path) -> Iterator[None]:
+def output_to(output: FilePath) -> Iterator[None]:
     """Say in one sentence why a file, or what a folder is to hold, cannot be written.
 
     Raises:
@@ -119,7 +119,7 @@ def output_to(output: Path) -> Iterator[None]:
         raise FileError(f"output {output} cannot be written: {reason}") from None
 
 
-def write_output(file: Path, text: str) -> None:
+def write_output(file: FilePath, text: str) -> None:
     """Write a text file as a whole or not at all.
 
     Raises:
@@ -145,7 +145,7 @@ def parse_yaml(text: str) -> object:
         raise yaml.YAMLError(str(error)) from None
 
 
-def read_csv_columns(file: Path, columns: tuple[str, ...]) -> FloatArray:
+def read_csv_columns(file: FilePath, columns: tuple[str, ...]) -> FloatArray:
     """Return named columns of a CSV file, shape (rows, columns).
 
     Raises:
@@ -180,7 +180,7 @@ def read_csv_columns(file: Path, columns: tuple[str, ...]) -> FloatArray:
     return np.array(values)
 
 
-def read_yaml(file: Path) -> object:
+def read_yaml(file: FilePath) -> object:
     """Return the content of a YAML file.
 
     Raises:

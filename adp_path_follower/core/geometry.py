@@ -70,8 +70,14 @@ def _of_one_or_many(
 
 
 cos = _of_one_or_many(math.cos, np.cos)
+
+
 sin = _of_one_or_many(math.sin, np.sin)
+
+
 tanh = _of_one_or_many(math.tanh, np.tanh)
+
+
 # sin(x) / x: smooth through 0; numpy's is sin(pi x) / (pi x).
 sinc = _of_one_or_many(
     lambda x: math.sin(x) / x if x else 1.0, lambda x: np.sinc(np.asarray(x) / math.pi)
@@ -130,7 +136,7 @@ def advance_pose(pose: FloatArray, linear: ArrayLike, angular: ArrayLike, dt: fl
 def pose_in_frame(error: FloatArray, frame_pose: FloatArray) -> FloatArray:
     """Return the world pose of a vehicle with error [s, y, theta] in a frame, shape (..., 3).
 
-    The inverse of `error_dynamics.tracking_error`.
+    The inverse of `tracking_error`.
     """
     heading = frame_pose[..., 2]
     cos, sin = np.cos(heading), np.sin(heading)
@@ -140,3 +146,13 @@ def pose_in_frame(error: FloatArray, frame_pose: FloatArray) -> FloatArray:
         frame_pose[..., 1] + sin * along + cos * across,
         heading + error[..., 2],
     )
+
+
+def tracking_error(pose: FloatArray, frame_pose: FloatArray) -> FloatArray:
+    """Return the error e = [s, y, theta] of a pose in the target's frame, shape (..., 3)."""
+    x, y, robot_heading = numbers(pose)
+    frame_x, frame_y, heading = numbers(frame_pose)
+    dx, dy = x - frame_x, y - frame_y
+    ahead, aside = cos(heading), sin(heading)
+    theta = wrap_angle(robot_heading - heading)
+    return components(ahead * dx + aside * dy, ahead * dy - aside * dx, theta)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 from adp_path_follower import __version__
@@ -22,7 +22,7 @@ except ImportError:
     ) from None
 
 
-def write_page(file: Path, name: str, data: dict[str, Any], **content: Any) -> None:
+def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) -> None:
     """Write a page from the templates of a name: NAME.html.j2 and NAME.js.
 
     Args:
@@ -35,7 +35,7 @@ def write_page(file: Path, name: str, data: dict[str, Any], **content: Any) -> N
         FileError: It cannot be written.
 
     """
-    folder = Path(__file__).parent / "templates"
+    folder = FilePath(__file__).parent / "templates"
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder),
         autoescape=True,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import matplotlib as mpl
@@ -70,8 +70,8 @@ class RunView:
 
 
 def draw_figures(
-    view: RunView, directory: Path, optimum: ReferenceMotion | None = None
-) -> list[Path]:
+    view: RunView, directory: FilePath, optimum: ReferenceMotion | None = None
+) -> list[FilePath]:
     """Draw the paper's figures of a run; return the PNG files.
 
     Args:

@@ -5,6 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import yaml
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from adp_path_follower.bags.reader import read_run
+from adp_path_follower.bags.writer import BagWriter
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.messages.cdr import MessageDecoder
 from bag_messages import (
     SECOND,
     STORE,
@@ -19,13 +26,6 @@ from bag_messages import (
     write_bag,
     write_foreign,
 )
-from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.writer import BagWriter
-from adp_path_follower.core.errors import FileError
-from adp_path_follower.messages.cdr import MessageDecoder
 
 
 def small_run(stamped: bool = True):

@@ -10,7 +10,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import pytest
 import yaml
@@ -33,7 +33,7 @@ def text_message(number: int, length: int = 1000) -> bytes:
     return bytes(STORE.serialize_cdr(TEXT(text), TEXT.__msgtype__))
 
 
-def write(directory: Path, count: int, **options: object) -> list[bytes]:
+def write(directory: FilePath, count: int, **options: object) -> list[bytes]:
     """Write messages, ten in a second, to two topics in turn; a third one stays empty."""
     writer = BagWriter(directory, **options)
     topics = [writer.add_topic(f"/{name}", "std_msgs/msg/String") for name in "abc"]
@@ -47,12 +47,12 @@ def write(directory: Path, count: int, **options: object) -> list[bytes]:
     return written
 
 
-def information(bag: Path) -> dict:
+def information(bag: FilePath) -> dict:
     content = yaml.safe_load((bag / "metadata.yaml").read_text())
     return content["rosbag2_bagfile_information"]
 
 
-def read(bag: Path) -> list[bytes]:
+def read(bag: FilePath) -> list[bytes]:
     with AnyReader([bag]) as reader:
         return [bytes(raw) for _, _, raw in reader.messages()]
 
@@ -157,7 +157,7 @@ def _until(condition: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
-def _recovered(bag: Path) -> list[bytes]:
+def _recovered(bag: FilePath) -> list[bytes]:
     """Return the messages that can be recovered from a torn bag by now."""
     target = bag.parent / "recovered"
     shutil.rmtree(target, ignore_errors=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import pytest
 import yaml
@@ -21,7 +21,7 @@ VECTOR = STORE.types["geometry_msgs/msg/Vector3"]
 FLOAT = STORE.types["std_msgs/msg/Float64"]
 
 
-def _write(directory: Path, count: int = 50, **options: object) -> list[bytes]:
+def _write(directory: FilePath, count: int = 50, **options: object) -> list[bytes]:
     writer = BagWriter(directory, {"host": "here"}, **options)
     vectors = writer.add_topic("/vector", "geometry_msgs/msg/Vector3")
     floats = writer.add_topic("/float", "std_msgs/msg/Float64")
@@ -131,7 +131,7 @@ def test_refusals(tmp_path):
 
 
 @pytest.fixture
-def share(tmp_path, monkeypatch) -> Path:
+def share(tmp_path, monkeypatch) -> FilePath:
     """Return a folder that is the only one where packages are installed."""
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'nothing'}:{tmp_path}")
     monkeypatch.setattr("sys.prefix", str(tmp_path / "none"))
@@ -140,7 +140,7 @@ def share(tmp_path, monkeypatch) -> Path:
     type_text.cache_clear()
 
 
-def _install(share: Path, name: str, text: str) -> None:
+def _install(share: FilePath, name: str, text: str) -> None:
     package, _, message = name.split("/")
     file = share / package / "msg" / f"{message}.msg"
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,6 @@ from hypothesis.extra import numpy as npst
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.geometry import (
     advance_pose,
     clamped,
@@ -21,6 +20,7 @@ from adp_path_follower.core.geometry import (
     pose_in_frame,
     sin,
     tanh,
+    tracking_error,
     where,
     wrap_angle,
     yaw_of_quaternion,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import yaml
@@ -47,7 +47,7 @@ class TornMetadata:
     kept: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_torn_metadata(file: Path) -> TornMetadata:
+def read_torn_metadata(file: FilePath) -> TornMetadata:
     """Return what a metadata.yaml says; nothing if there is none or it cannot be read."""
     try:
         with file.open("rb") as stream:

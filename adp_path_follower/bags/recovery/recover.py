@@ -10,7 +10,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import BinaryIO
 
 import yaml
@@ -67,14 +67,16 @@ class Recovery:
 
     """
 
-    bag: Path
+    bag: FilePath
     message_counts: Mapping[str, int]
     bytes_read: int
     bytes_left: int
 
 
 def recover(
-    bag: Path, output: Path | None = None, progress: Callable[[float], None] = lambda _: None
+    bag: FilePath,
+    output: FilePath | None = None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Recovery:
     """Copy all messages that can be read into a new bag, with their bytes, times and schemas.
 
@@ -126,7 +128,7 @@ def recover(
     return Recovery(target, dict(copy.message_counts), sum(sizes), copy.bytes_left)
 
 
-def _new_bag(directory: Path, metadata: TornMetadata) -> BagWriter:
+def _new_bag(directory: FilePath, metadata: TornMetadata) -> BagWriter:
     try:
         return BagWriter(directory, metadata.custom_data, chunked=True, information=metadata.kept)
     except FileError:
@@ -135,7 +137,7 @@ def _new_bag(directory: Path, metadata: TornMetadata) -> BagWriter:
         raise FileError(f"bag {directory} cannot be written: {error.strerror}") from None
 
 
-def _storage_files(bag: Path) -> list[Path]:
+def _storage_files(bag: FilePath) -> list[FilePath]:
     """Return the MCAP files of a bag, in the order they were recorded."""
     if not bag.exists():
         raise FileError(f"bag {bag} does not exist")
@@ -171,7 +173,7 @@ def _shifted(progress: Callable[[float], None], before: int, total: int) -> Call
     return lambda offset: progress((before + offset) / total)
 
 
-def _sqlite_sentence(bag: Path) -> str:
+def _sqlite_sentence(bag: FilePath) -> str:
     return f"bag {bag} is an sqlite3 bag (.db3), not MCAP: recover it with `sqlite3 FILE .recover`"
 
 
@@ -179,7 +181,7 @@ def _number(part: str) -> tuple[int, str]:
     return (int(part), "") if part.isdecimal() and part.isascii() else (-1, part)
 
 
-def _has_magic(file: Path) -> bool:
+def _has_magic(file: FilePath) -> bool:
     with file.open("rb") as stream:
         return stream.read(len(MAGIC)) == MAGIC
 
@@ -219,7 +221,7 @@ class _Copy:
             return False
         return _meaning(self._channels[channel][2]).fits(message[MESSAGE_HEAD.size :])
 
-    def add_file(self, file: Path, size: int, progress: Callable[[int], None]) -> None:
+    def add_file(self, file: FilePath, size: int, progress: Callable[[int], None]) -> None:
         """Copy what one file holds."""
         self._start_file()
         with file.open("rb") as stream:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adp_path_follower.core.control import error_dynamics
-from adp_path_follower.core.geometry import FloatArray, advance_pose
+from adp_path_follower.core.geometry import FloatArray, advance_pose, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import CostSettings, Settings
@@ -82,7 +82,7 @@ class MotionCost:
         self, pose: FloatArray, twist: FloatArray, arc_length: FloatArray, frame: PathFrame
     ) -> tuple[FloatArray, FloatArray]:
         """Return the running cost and the speed of the virtual target at a frame of the path."""
-        error = error_dynamics.tracking_error(pose, frame.pose)
+        error = tracking_error(pose, frame.pose)
         v_des = None if self._profile is None else self._profile.speed(arc_length)
         modified_input = twist - error_dynamics.feedforward(frame.curvature, self._target, v_des)
         cost_rate = self._running_cost(error, modified_input)

@@ -18,19 +18,8 @@ from adp_path_follower.core.geometry import (
     numbers,
     sin,
     tanh,
-    wrap_angle,
 )
 from adp_path_follower.core.settings.groups import TargetSettings
-
-
-def tracking_error(pose: FloatArray, frame_pose: FloatArray) -> FloatArray:
-    """Return the error e = [s, y, theta] of a pose in the target's frame, shape (..., 3)."""
-    x, y, robot_heading = numbers(pose)
-    frame_x, frame_y, heading = numbers(frame_pose)
-    dx, dy = x - frame_x, y - frame_y
-    ahead, aside = cos(heading), sin(heading)
-    theta = wrap_angle(robot_heading - heading)
-    return components(ahead * dx + aside * dy, ahead * dy - aside * dx, theta)
 
 
 def target_speed(

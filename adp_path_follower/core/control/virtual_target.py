@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core.control import error_dynamics
-from adp_path_follower.core.geometry import FloatArray, clamped
+from adp_path_follower.core.geometry import FloatArray, clamped, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedReference
 from adp_path_follower.core.settings.groups import TargetSettings
@@ -61,14 +61,14 @@ class VirtualTarget:
         if self._previous_error is not None and dt > 0.0:
             speed_before = self._speed(self.arc_length, self._previous_error)
             guess = self.arc_length + dt * speed_before
-            error = error_dynamics.tracking_error(pose, self._path.frame(guess).pose)
+            error = tracking_error(pose, self._path.frame(guess).pose)
             speed_after = self._speed(guess, error)
             self.arc_length = self.arc_length + 0.5 * dt * (speed_before + speed_after)
             if self._reference is not None and self._reference.profile.stops:
                 self.arc_length = np.minimum(self.arc_length, self._path.length)
         self.v_des = self._desired_speed(self.arc_length)
         frame = self._path.frame(self.arc_length)
-        self._previous_error = error_dynamics.tracking_error(pose, frame.pose)
+        self._previous_error = tracking_error(pose, frame.pose)
         return frame, self._previous_error
 
     def _desired_speed(self, arc_length: FloatArray) -> FloatArray | None:

@@ -7,9 +7,8 @@ from collections import deque
 
 import numpy as np
 
-from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import MotionSettings
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.core.control.actuation import Actuation
-from adp_path_follower.core.control.error_dynamics import tracking_error
 from adp_path_follower.core.driving.arrival import Standstill
 from adp_path_follower.core.driving.follower import FollowerOutput, PathFollower
 from adp_path_follower.core.driving.reversing import reversed_output, reversed_settings
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.learning.weights_file import SavedWeights
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.route import Route, Segment, route_of

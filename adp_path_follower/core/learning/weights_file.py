@@ -15,7 +15,7 @@ import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -125,7 +125,7 @@ def decode(content: bytes, name: str) -> SavedWeights:
     return SavedWeights(problem_settings(settings), learned, digest)
 
 
-def read_weights(file: Path, settings: Settings) -> tuple[SavedWeights, bytes]:
+def read_weights(file: FilePath, settings: Settings) -> tuple[SavedWeights, bytes]:
     """Return the weights in a file that were learned for these settings, and its content.
 
     Raises:
@@ -155,7 +155,7 @@ def read_weights(file: Path, settings: Settings) -> tuple[SavedWeights, bytes]:
     return saved, content
 
 
-def write_weights(file: Path, content: bytes) -> None:
+def write_weights(file: FilePath, content: bytes) -> None:
     """Write a weights file as a whole or not at all, whatever happens meanwhile.
 
     Raises:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Mapping
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import TypeVar
 
 import yaml
@@ -27,7 +27,7 @@ ROS_PREFIXES = ("qos_overrides.",)
 
 
 def load_settings(
-    tree: type[Tree], node: str, file: Path | None = None, assignments: Iterable[str] = ()
+    tree: type[Tree], node: str, file: FilePath | None = None, assignments: Iterable[str] = ()
 ) -> Tree:
     """Return settings from a parameter file and ``NAME=VALUE`` assignments, which win.
 
@@ -67,7 +67,7 @@ def parse_assignment(text: str) -> tuple[str, object]:
         ) from None
 
 
-def read_parameters(file: Path, node: str) -> dict[str, object]:
+def read_parameters(file: FilePath, node: str) -> dict[str, object]:
     """Return the parameters that a ROS parameter file gives a node, without ROS's own.
 
     The sections "/**", "/**/node", "node" and "/name/space/node" count, in their order.

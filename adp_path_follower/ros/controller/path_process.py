@@ -1,12 +1,12 @@
 """From the bytes of a path to a route, in a process of its own.
 
 Python's threads share one interpreter: a path of a hundred thousand poses, fitted in a thread,
-makes control steps wait for tens of milliseconds (`bench/paths.py`). A process does not, and what
-ends it or stops it (a want of memory, a defect, a debugger) costs a path and not the robot. It is a
-fork of the node before that has any thread or any of its own imports, and imports what paths are
-fitted with (scipy's splines) while the node starts beside it: the node does without. One that
-replaces it is a new Python instead, as a fork would have the locks of the node's threads, but not
-the threads.
+makes control steps wait for tens of milliseconds (`bench/speed/paths.py`). A process does not, and
+what ends it or stops it (a want of memory, a defect, a debugger) costs a path and not the robot.
+It is a fork of the node before that has any thread or any of its own imports, and imports what
+paths are fitted with (scipy's splines) while the node starts beside it: the node does without. One
+that replaces it is a new Python instead, as a fork would have the locks of the node's threads, but
+not the threads.
 """
 
 from __future__ import annotations

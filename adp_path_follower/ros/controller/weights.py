@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -119,7 +119,7 @@ class WeightsFiles:
         return f"weights{places} are in {file}"
 
 
-def _write(file: Path, saved: SavedWeights, written: Future) -> None:
+def _write(file: FilePath, saved: SavedWeights, written: Future) -> None:
     """Write the file; everything that goes wrong is the future's exception."""
     try:
         write_weights(file, encode(saved))

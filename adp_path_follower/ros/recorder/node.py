@@ -7,7 +7,7 @@ import importlib
 import itertools
 import time as steady
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -228,7 +228,7 @@ def _new_bag(settings: RecorderSettings) -> BagWriter:
     name = datetime.now().strftime("adp_run_%Y_%m_%d-%H_%M_%S")
     for number in itertools.count(2):
         try:
-            return make(Path(name))
+            return make(FilePath(name))
         except BagExistsError:
             name = f"{name.partition('+')[0]}+{number}"
     raise AssertionError("unreachable")

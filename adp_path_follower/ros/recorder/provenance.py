@@ -6,7 +6,7 @@ import os
 import platform
 import re
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from pathlib import Path as FilePath
 
 from adp_path_follower import __version__
 from adp_path_follower.core.settings.schema import flatten, yaml_text
@@ -29,13 +29,13 @@ def provenance(settings: object) -> dict[str, str]:
     }
     if distribution := os.environ.get("ROS_DISTRO"):
         found["ros_distro"] = distribution
-    if revision := git_revision(Path()):
+    if revision := git_revision(FilePath()):
         found["git_revision"] = revision
     values = flatten(settings)
     return found | {f"recorder.{name}": yaml_text(value) for name, value in values.items()}
 
 
-def git_revision(directory: Path) -> str:
+def git_revision(directory: FilePath) -> str:
     """Return the commit that the repository around a directory stands at, empty without one.
 
     Its files are read, as git itself need not be installed where a robot records.
@@ -50,7 +50,7 @@ def git_revision(directory: Path) -> str:
     return ""
 
 
-def _head(entry: Path) -> str:
+def _head(entry: FilePath) -> str:
     """Return the commit of HEAD; `entry` is a folder, or a file that names it (worktrees)."""
     folder = entry
     if entry.is_file():

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.analysis.projection import project
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.projection import project
 from adp_path_follower.core.path.speed_profile import speed_varies
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.comparison.controllers import Contender, contenders

@@ -21,7 +21,7 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
-from adp_path_follower.shared_files import config_file
+from adp_path_follower.resources import config_file
 from adp_path_follower.study.comparison.peers import lapierre_soetanto, pure_pursuit, stanley
 from adp_path_follower.study.comparison.peers.lapierre_soetanto import LapierreSoetanto
 from adp_path_follower.study.comparison.peers.lqr import Lqr

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import matplotlib as mpl
 import numpy as np
@@ -18,7 +18,7 @@ _LEAST_LOSS = 1e-6  # of J*: what is drawn for less, and for less than nothing
 _OWN = ("adp", "adp_cold")
 
 
-def draw_comparison(found: Comparison, directory: Path) -> list[Path]:
+def draw_comparison(found: Comparison, directory: FilePath) -> list[FilePath]:
     """Draw cost, cross-track error and computing time of one path; return the PNG files."""
     drawings = {
         "cost.png": _cost,

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from pathlib import Path
+from pathlib import Path as FilePath
 
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.settings.schema import Value, yaml_text
@@ -31,7 +31,7 @@ def own_domain() -> Iterator[int]:
     candidates = list(_DOMAINS)
     random.shuffle(candidates)
     for domain in candidates:
-        file = Path(tempfile.gettempdir()) / f"adp_path_follower_domain_{domain}.lock"
+        file = FilePath(tempfile.gettempdir()) / f"adp_path_follower_domain_{domain}.lock"
         with file.open("w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -50,7 +50,7 @@ class NodeProcess:
         executable: str,
         parameters: Mapping[str, Value],
         *,
-        log: Path,
+        log: FilePath,
         domain: int,
         arguments: tuple[str, ...] = (),
     ) -> None:

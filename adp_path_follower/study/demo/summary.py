@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from pathlib import Path as FilePath
 
 from adp_path_follower.study.demo.metrics import RunMetrics
 from adp_path_follower.study.optimum.reference import COST_HORIZON
@@ -79,7 +79,7 @@ def summary_table(metrics: RunMetrics) -> str:
     )
 
 
-def summary_markdown(metrics: RunMetrics, figures: list[Path]) -> str:
+def summary_markdown(metrics: RunMetrics, figures: list[FilePath]) -> str:
     """Return the report of a run, with its figures."""
     # A bar would end the table's cell.
     rows = [[cell.replace("|", "\\|") for cell in row] for row in summary_rows(metrics)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -14,7 +14,7 @@ _LABELS = ("s [m]", "y [m]", "θ [rad]", "v_e [m/s]", "ω_e [rad/s]")
 _SHOWN = 15.0  # [s]: the rest is at rest
 
 
-def draw_optima(motions: list[Motion], file: Path) -> None:
+def draw_optima(motions: list[Motion], file: FilePath) -> None:
     """Draw errors and inputs of optimal motions over time, a curve for each start."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.0, 7.0))

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from adp_path_follower.core.path.curve import Path as FollowedPath
+from adp_path_follower.core.path.curve import Path
 from adp_path_follower.drawing.figure_style import COLORS, STYLE
 from adp_path_follower.drawing.run_figures import RunView, draw_figures
 from adp_path_follower.study.paper.reproduce import PaperRun, Reproduction, Theorem
 from adp_path_follower.study.simulation.trajectories import Trajectories
 
 
-def draw_paper(found: Reproduction, directory: Path) -> list[Path]:
+def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
     """Draw figures 2 to 5 of the shipped grid, the long run and the theorem; return the files."""
     labels = found.shipped.settings.learning.value_basis.labels
     view = view_of_simulation(found.shipped.trajectories, 0, found.path, labels)
@@ -104,7 +104,7 @@ def _lyapunov(theorem: Theorem) -> Figure:
 
 
 def view_of_simulation(
-    trajectories: Trajectories, run: int, path: FollowedPath, labels: tuple[str, ...]
+    trajectories: Trajectories, run: int, path: Path, labels: tuple[str, ...]
 ) -> RunView:
     """Return the view of one run of a simulation."""
     return RunView(

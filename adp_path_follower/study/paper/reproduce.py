@@ -21,7 +21,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import update
 from adp_path_follower.drawing.run_figures import ReferenceMotion
-from adp_path_follower.shared_files import config_file
+from adp_path_follower.resources import config_file
 from adp_path_follower.study.optimum.collocation import OptimumSolver
 from adp_path_follower.study.optimum.costate import solve_costates
 from adp_path_follower.study.simulation.simulate import PAPER_START, simulate

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import matplotlib as mpl
 import numpy as np
@@ -40,7 +40,7 @@ def view_of_replay(run: Run, replay: Replay) -> RunView:
     )
 
 
-def draw_replay(replay: Replay, file: Path) -> None:
+def draw_replay(replay: Replay, file: FilePath) -> None:
     """Draw recorded and replayed commands over time."""
     time = (replay.stamp - replay.stamp[0]) * 1e-9
     with mpl.rc_context(STYLE):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as steady
 from collections.abc import Callable, Mapping
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ _TYPES = {"odom": Odometry, "path": PathMessage}
 
 
 def republish(
-    bag: Path,
+    bag: FilePath,
     topics: Mapping[str, str],
     rate: float,
     progress: Callable[[float], None],
@@ -152,7 +152,7 @@ class _Player:
 
 
 def recorded_messages(
-    bag: Path, topics: Mapping[str, str]
+    bag: FilePath, topics: Mapping[str, str]
 ) -> tuple[list[tuple[int, str, Any]], int]:
     """Return the odometry and the paths of a bag in the order to publish them in.
 
@@ -185,7 +185,7 @@ def recorded_messages(
     return sorted(timed, key=lambda item: (item[0], item[1] == "odom")), damaged
 
 
-def _decoded(bag: Path, keys: Mapping[str, str]) -> tuple[list[tuple[int, str, Any]], int]:
+def _decoded(bag: FilePath, keys: Mapping[str, str]) -> tuple[list[tuple[int, str, Any]], int]:
     """Return arrival [ns], key and message of topics -> keys, and how many are damaged."""
     found, damaged = [], 0
     with Reader(bag) as reader:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -44,9 +44,9 @@ _Entry = tuple[int, str, bytes]
 
 def write_replay(
     found: Replay,
-    source: Path,
+    source: FilePath,
     topics: Mapping[str, str],
-    bag: Path,
+    bag: FilePath,
     velocity: FloatArray | None = None,
 ) -> None:
     """Write a bag with the replay's commands and learner topics beside the recorded odometry.

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.core.control.error_dynamics import tracking_error
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.path.curve import Path
 
 _REACH = 1.0  # [m] to either side of the last place

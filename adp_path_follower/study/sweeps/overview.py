@@ -1,0 +1,180 @@
+"""What the runs of a sweep say of its settings: numbers of each combination, and the best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.settings.schema import Value
+from adp_path_follower.study.sweeps.request.objectives import (
+    OBJECTIVES,
+    Columns,
+    cost_column,
+    pareto_front,
+    unstable_runs,
+)
+from adp_path_follower.study.sweeps.request.sweep_file import Sweep
+
+
+@dataclass(frozen=True)
+class Case:
+    """The best settings on one path with one robot.
+
+    Attributes:
+        path: Its name.
+        robot: Its name.
+        runs: Number of runs.
+        median: Of J/J*, or of J where J* is not known.
+        high: 95 % quantile.
+        largest: Greatest.
+        cross_track_rms: RMS distance from the path of all runs [m].
+        cross_track_max: Greatest distance of any run [m].
+
+    """
+
+    path: str
+    robot: str
+    runs: int
+    median: float
+    high: float
+    largest: float
+    cross_track_rms: float
+    cross_track_max: float
+
+
+@dataclass(frozen=True)
+class Overview:
+    """A sweep in numbers; the rows of the arrays are the C combinations of settings.
+
+    Attributes:
+        sweep: The sweep.
+        scores: Objectives, all that there are: name -> values, shape (C,); NaN where a run is lost.
+        unstable: Number of runs that are not stable, shape (C,).
+        problems: What runs could not be made for: sentence -> number of runs.
+        best: The stable combination with the least first objective; None if all are unstable.
+        cases: The best settings on each path with each robot.
+        relative: Whether cost is J/J*; J otherwise.
+
+    """
+
+    sweep: Sweep
+    scores: Mapping[str, FloatArray]
+    unstable: np.ndarray
+    problems: Mapping[str, int]
+    best: int | None
+    cases: tuple[Case, ...]
+    relative: bool
+
+    @property
+    def ranked(self) -> np.ndarray:
+        """Return the stable combinations, the best first, by the first objective."""
+        score = np.where(self.unstable == 0, self.scores[self.sweep.objectives[0]], math.nan)
+        order = np.argsort(score, kind="stable")
+        return np.asarray(order[np.isfinite(score[order])])
+
+    @property
+    def front(self) -> np.ndarray:
+        """Return the stable combinations on the Pareto front of the first two objectives."""
+        names = self.sweep.objectives[:2]
+        if len(names) < 2:
+            return self.ranked[:1]
+        points = np.column_stack([self.scores[name] for name in names])
+        points[self.unstable > 0] = math.nan
+        found = np.flatnonzero(pareto_front(points))
+        return np.asarray(found[np.argsort(points[found, 0])])
+
+    @property
+    def shares_unstable(self) -> FloatArray:
+        """Return the share of unstable runs of each combination, shape (C,)."""
+        return np.asarray(self.unstable * (self.sweep.combinations / self.sweep.runs))
+
+    def values(self, combination: int) -> dict[str, Value]:
+        """Return what varies, by name."""
+        return self.sweep.varied(combination)
+
+
+def overview(sweep: Sweep, groups: Iterable[Columns]) -> Overview:
+    """Return the overview of the runs of each combination, which come one after the other."""
+    count = sweep.combinations
+    scores = {name: np.full(count, math.nan) for name in OBJECTIVES}
+    unstable = np.zeros(count, dtype=int)
+    problems: dict[str, int] = {}
+    best, least = None, math.inf
+    cases: tuple[Case, ...] = ()
+    relative = True
+    for columns in groups:
+        number = int(columns["combination"][0])
+        unstable[number] = unstable_runs(columns)
+        relative &= bool(np.isfinite(columns["optimal_cost"]).all())
+        for problem in filter(None, columns["problem"]):
+            problems[str(problem)] = problems.get(str(problem), 0) + 1
+        for name, objective in OBJECTIVES.items():
+            scores[name][number] = objective.of(columns)
+        score = scores[sweep.objectives[0]][number]
+        if not unstable[number] and score < least:
+            best, least, cases = number, score, tuple(_cases(sweep, columns))
+    return Overview(sweep, scores, unstable, problems, best, cases, relative)
+
+
+def _cases(sweep: Sweep, columns: Columns) -> Iterable[Case]:
+    cost = cost_column(columns)
+    for source in sweep.conditions.paths:
+        for robot in sweep.conditions.robots:
+            some = (columns["path"] == source.name) & (columns["robot"] == robot.name)
+            median, high = np.quantile(cost[some], [0.5, 0.95], method="higher")
+            yield Case(
+                source.name,
+                robot.name,
+                int(some.sum()),
+                float(median),
+                float(high),
+                float(cost[some].max()),
+                float(np.sqrt(np.mean(columns["cross_track_rms"][some] ** 2))),
+                float(columns["cross_track_max"][some].max()),
+            )
+
+
+def shown(value: Value) -> str:
+    """Return a value as people read it."""
+    if isinstance(value, tuple):
+        return "[" + ", ".join(shown(item) for item in value) + "]"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def summary_text(found: Overview, rows: int = 10) -> str:
+    """Return the best settings as a table, and what else there is to say."""
+    sweep = found.sweep
+    names = [item.name for item in sweep.variations]
+    head = [*names, *(_title(name, found.relative) for name in sweep.objectives)]
+    table = [head]
+    for number in found.ranked[:rows]:
+        values = found.values(int(number))
+        table.append(
+            [shown(values[name]) for name in names]
+            + [f"{found.scores[name][number]:.4f}" for name in sweep.objectives]
+        )
+    widths = [max(len(row[column]) for row in table) for column in range(len(head))]
+    lines = [
+        "  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True))
+        for row in table
+    ]
+    bad = int((found.unstable > 0).sum())
+    if found.best is None:
+        lines = ["no combination of settings is stable in all its runs"]
+    elif len(found.ranked) > rows:
+        lines.append(f"… and {len(found.ranked) - rows:,} more")
+    if bad:
+        lines.append(
+            f"{bad:,} of {sweep.combinations:,} combinations are unstable in some run "
+            f"({int(found.unstable.sum()):,} of {sweep.runs:,} runs)"
+        )
+    lines += [f"{count:,} runs could not be made: {text}" for text, count in found.problems.items()]
+    return "\n".join(lines)
+
+
+def _title(name: str, relative: bool) -> str:
+    return f"{name} (J/J*)" if relative and name in ("cost", "worst_case") else name

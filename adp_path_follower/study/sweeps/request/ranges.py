@@ -1,0 +1,236 @@
+"""What a setting is varied over: listed values, or a range of numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import (
+    SettingField,
+    Value,
+    checked,
+    setting_fields,
+    unknown_name,
+)
+from adp_path_follower.study.sweeps.request.sections import Section
+
+OWN = "own"
+_OWN_FACTOR = 10.0  # below and above a value: the range that is a setting's own
+_RANGE_FORM = "a range is {low: 0.1, high: 10.0} or {low: 0.1, high: 10.0, log: true}"
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Values of a setting that are all tried."""
+
+    field: SettingField
+    values: tuple[Value, ...]
+
+    @property
+    def name(self) -> str:
+        """Return the setting's name."""
+        return self.field.name
+
+
+@dataclass(frozen=True)
+class Range:
+    """A range of a setting, or of one of the numbers of a list.
+
+    Attributes:
+        field: The setting.
+        item: Which number of a list; None for a setting that is one number.
+        low: Lowest value.
+        high: Highest value.
+        log: Whether the logarithm of the value is what is varied evenly.
+
+    """
+
+    field: SettingField
+    item: int | None
+    low: float
+    high: float
+    log: bool
+
+    @property
+    def name(self) -> str:
+        """Return the setting's name, of a list with the number's place, as in "state_cost[1]"."""
+        return self.field.name if self.item is None else f"{self.field.name}[{self.item}]"
+
+    @property
+    def integer(self) -> bool:
+        """Return whether its values are whole numbers."""
+        return (self.field.item_kind or self.field.kind) is int
+
+    def number_in(self, value: Value) -> float:
+        """Return the number that is varied, of a value of the setting."""
+        number = value[self.item] if isinstance(value, tuple) and self.item is not None else value
+        assert isinstance(number, int | float)  # others have no range
+        return number
+
+    def at(self, share: float) -> float | int:
+        """Return the value at a share in [0, 1) of the range."""
+        if self.integer:
+            low, high = math.log(self.low) if self.log else self.low, self.high + 1.0
+            high = math.log(high) if self.log else high
+            value = low + share * (high - low)
+            return min(int(math.exp(value) if self.log else value), int(self.high))
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return float(self.low + share * (self.high - self.low))
+
+
+Variation = Listed | Range
+
+
+def read_variations(
+    section: Section, base: Mapping[str, Value], *, own: bool = False
+) -> tuple[Variation, ...]:
+    """Return what a section of a file varies.
+
+    Args:
+        section: Setting: list of values, or range; of a list of numbers, `low` and `high` may be
+            lists, and each number is varied by itself.
+        base: The values of all settings before.
+        own: Whether "own" is allowed, for the range of `own_range`.
+
+    Raises:
+        SettingsError: An unknown setting, an empty range, or values that the setting cannot have.
+
+    """
+    fields = {field.name: field for field in setting_fields(Settings)}
+    found: list[Variation] = []
+    for name, given in section.items():
+        if name not in fields:
+            raise section.problem(unknown_name(name, fields))
+        field = fields[name]
+        try:
+            if own and given == OWN:
+                found += own_range(field, base[name])
+            elif isinstance(given, Mapping):
+                found += _ranges(field, given, base[name])
+            else:
+                found.append(_listed(field, given))
+        except SettingsError as error:
+            raise section.problem(str(error)) from None
+    return tuple(found)
+
+
+def own_range(field: SettingField, value: Value) -> list[Variation]:
+    """Return the range that is a setting's own: a tenth to ten times its value, as far as allowed.
+
+    A setting of few choices is tried with all of them, one that is 0 over all that is allowed.
+
+    Raises:
+        SettingsError: There is no end to what is allowed, or the setting is a text.
+
+    """
+    if field.kind is bool:
+        return [Listed(field, (False, True))]
+    if field.spec.choices:
+        return [Listed(field, tuple(field.spec.choices))]
+    if field.kind is str:
+        raise SettingsError(f"setting '{field.name}' is a text: list the values to try")
+    items = value if isinstance(value, tuple) else (value,)
+    found: list[Variation] = []
+    for place, number in enumerate(items):
+        assert isinstance(number, int | float)  # no other kinds are left
+        item = place if isinstance(value, tuple) else None
+        low, high, log = field.spec.low, field.spec.high, False
+        if math.isfinite(number) and number != 0.0:
+            ends = sorted((number / _OWN_FACTOR, number * _OWN_FACTOR))
+            low, high, log = max(low, ends[0]), min(high, ends[1]), number > 0.0
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise SettingsError(
+                f"setting '{field.name}' is {number:g}, which has no range of its own: say "
+                "{low: ..., high: ...}"
+            )
+        if (field.item_kind or field.kind) is int:
+            low, high = math.ceil(low), math.floor(high)
+        found.append(Range(field, item, low, high, log))
+    return found
+
+
+def settings_values(values: Mapping[str, Value], base: Mapping[str, Value]) -> dict[str, Value]:
+    """Return values of variations by setting: those of numbers of a list put into the list.
+
+    Args:
+        values: By the names of the variations.
+        base: The values of all settings before; they give the rest of the lists.
+
+    """
+    found: dict[str, Value] = {}
+    for name, value in values.items():
+        setting, bracket, place = name.partition("[")
+        if not bracket:
+            found[setting] = value
+            continue
+        items = list(found.get(setting, base[setting]))  # type: ignore[arg-type]  # it is a list
+        items[int(place[:-1])] = value
+        found[setting] = tuple(items)  # type: ignore[assignment]  # numbers of one kind
+    return found
+
+
+def _listed(field: SettingField, given: object) -> Listed:
+    if not isinstance(given, list):
+        raise SettingsError(
+            f"setting '{field.name}' is {given!r}, but must be a list of values to try, or a "
+            f"range: {_RANGE_FORM}"
+        )
+    if not given:
+        raise SettingsError(f"setting '{field.name}' has an empty list: give a value to try")
+    values = tuple(checked(field, value) for value in given)
+    if len(set(values)) < len(values):
+        raise SettingsError(f"setting '{field.name}' lists a value twice: {given}")
+    return Listed(field, values)
+
+
+def _ranges(field: SettingField, given: Mapping[str, object], value: Value) -> list[Variation]:
+    """Return the range of a number, or those of the numbers of a list that are varied."""
+    unknown = sorted(set(map(str, given)) - {"low", "high", "log"})
+    if unknown or not {"low", "high"} <= set(given):
+        raise SettingsError(f"setting '{field.name}' is {dict(given)}, but {_RANGE_FORM}")
+    log = given.get("log", False)
+    if not isinstance(log, bool):
+        raise SettingsError(f"setting '{field.name}' has log: {log}, but must be true or false")
+    if (field.item_kind or field.kind) not in (int, float):
+        raise SettingsError(
+            f"setting '{field.name}' is {field.type_name}: list the values to try, as no range is"
+        )
+    if field.item_kind is None:
+        low, high = checked(field, given["low"]), checked(field, given["high"])
+        return [_range(field, None, low, high, log)]
+    length = len(value) if isinstance(value, tuple) else 0
+    ends = []
+    for end in ("low", "high"):
+        items = given[end] if isinstance(given[end], list) else [given[end]] * length
+        ends.append(checked(field, items))
+    lows, highs = ends
+    assert isinstance(lows, tuple)  # the setting is a list
+    assert isinstance(highs, tuple)
+    if not len(lows) == len(highs) == length:
+        raise SettingsError(
+            f"setting '{field.name}' has {length} values, but its range has {len(lows)} for low "
+            f"and {len(highs)} for high"
+        )
+    return [_range(field, place, lows[place], highs[place], log) for place in range(length)]
+
+
+def _range(field: SettingField, item: int | None, low: Value, high: Value, log: bool) -> Range:
+    assert isinstance(low, int | float)  # checked by the setting's own type
+    assert isinstance(high, int | float)
+    found = Range(field, item, low, high, log)
+    if not low < high:
+        raise SettingsError(
+            f"setting '{found.name}' has an empty range: low is {low:g} and high is {high:g}, but "
+            "low must be below high"
+        )
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise SettingsError(f"setting '{found.name}' has a range without end: give finite numbers")
+    if log and low <= 0.0:
+        raise SettingsError(
+            f"setting '{found.name}' has log: true, but low is {low:g}: it must be above 0"
+        )
+    return found

@@ -1,0 +1,238 @@
+"""Workers on all cores of this machine, or on an existing Dask cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
+from types import FrameType
+from typing import Any, TypeVar
+
+from distributed import Client, LocalCluster, as_completed
+from distributed.comm.addressing import parse_address, parse_host_port
+from distributed.scheduler import KilledWorker
+from distributed.security import Security
+
+from adp_path_follower import __version__
+from adp_path_follower.core.errors import AdpError
+
+Work = TypeVar("Work")
+
+
+_CONNECTING = 5.0  # [s] that a scheduler has to answer
+
+
+_FIRST_WORKER = 30.0  # [s] that a scheduler has to find a worker
+
+
+_WAITING_EACH = 2  # pieces of work for each worker: it never waits for the next
+
+
+# Run by each worker: Ctrl-C, which the whole terminal gets, is the command's to answer.
+_NO_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+
+
+_RETRIES = 2  # of work that failed where it was done; a worker that dies is another thing
+
+
+class Workers:
+    """What does work somewhere else."""
+
+    def __init__(self, client: Client, check_interrupts: Callable[[], None]) -> None:
+        """Take a connected client, and what raises interrupts that were noted."""
+        self._client, self._check_interrupts = client, check_interrupts
+
+    @property
+    def count(self) -> int:
+        """Return how many pieces of work are done at once, now."""
+        return max(1, sum(self._client.nthreads().values()))
+
+    def begin(self, function: Callable[[Work], Any], piece: Work) -> Any:
+        """Return the future of a piece of work; if its worker dies, another does it."""
+        return self._client.submit(function, piece, pure=False, retries=_RETRIES)
+
+    def result(self, future: Any) -> Any:
+        """Wait for a piece of work and return what the function made of it.
+
+        Raises:
+            AdpError: It failed, or killed worker after worker, or the scheduler is gone.
+
+        """
+        self._check_interrupts()
+        try:
+            return future.result()
+        except KilledWorker as error:
+            raise AdpError(
+                f"a piece of the work ended {error.allowed_failures + 1} workers, one after the "
+                "other: do they have enough memory?"
+            ) from None
+        except CancelledError:
+            raise AdpError(
+                "the scheduler is gone: what is done stays, and the same command goes on from it"
+            ) from None
+        except AdpError:
+            raise
+        except Exception as error:
+            raise AdpError(f"a worker failed: {type(error).__name__}: {error}") from error
+
+    def results(
+        self, function: Callable[[Work], Any], work: Iterable[Work]
+    ) -> Iterator[tuple[Work, Any]]:
+        """Return each piece of work with what the function made of it, as they are done.
+
+        Only a few pieces are under way at any time, however many there are.
+
+        Raises:
+            AdpError: As `result` does.
+
+        """
+        waiting = iter(work)
+        under_way: dict[Any, Work] = {}
+
+        def begin(most: int) -> list[Any]:
+            begun = {
+                self.begin(function, piece): piece for piece in itertools.islice(waiting, most)
+            }
+            under_way.update(begun)
+            return list(begun)
+
+        finished = as_completed(begin(_WAITING_EACH * self.count), loop=self._client.loop)
+        for future in finished:
+            found = self.result(future)
+            yield under_way.pop(future), found
+            # More workers may have come meanwhile.
+            finished.update(begin(max(1, _WAITING_EACH * self.count - len(under_way))))
+
+
+@contextlib.contextmanager
+def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
+    """Yield workers: those of a scheduler, or as many processes on this machine as it has cores.
+
+    Args:
+        address: Of a Dask scheduler, as in "tcp://host:8786"; None for this machine.
+        count: Number of processes on this machine.
+
+    Raises:
+        AdpError: The scheduler does not answer, has no workers, or they lack this version.
+
+    """
+    _silence()
+    connected = _local(count) if address is None else _connected(address)
+    with connected as client, noted_interrupts() as check_interrupts:
+        yield Workers(client, check_interrupts)
+
+
+def _silence() -> None:
+    """Keep Dask's tracebacks of lost connections to itself; what matters is said here."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+@contextlib.contextmanager
+def _local(count: int | None) -> Iterator[Client]:
+    processes = count or len(os.sched_getaffinity(0))
+    with (
+        LocalCluster(
+            n_workers=processes,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # any port: other commands may run beside
+            silence_logs=logging.CRITICAL,
+            preload=[_NO_INTERRUPT],
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextlib.contextmanager
+def _connected(address: str) -> Iterator[Client]:
+    try:
+        _check_address(address)
+        client = Client(address, timeout=_CONNECTING, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise AdpError(
+            f"scheduler '{address}' cannot be reached ({reason}): start one with 'dask scheduler', "
+            "and give the address that it prints, as in tcp://host:8786"
+        ) from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_FIRST_WORKER)
+        except TimeoutError:
+            raise AdpError(
+                f"scheduler '{address}' has no workers: start some with 'dask worker {address} "
+                "--nthreads 1'"
+            ) from None
+        _check_versions(client, address)
+        yield client
+
+
+def _check_address(address: str) -> None:
+    """Refuse what Dask's client would refuse, too, but not without a traceback, or without end.
+
+    Raises:
+        ValueError: There is no port, or no such way to connect.
+
+    """
+    scheme, place = parse_address(address)
+    parse_host_port(place)
+    secured = Security().get_connection_args("client").get("ssl_context") is not None
+    known = ("tcp", "ws", "tls", "wss") if secured else ("tcp", "ws")
+    if scheme not in known:
+        raise ValueError(f"'{scheme}' is none of {', '.join(known)}")
+
+
+def _check_versions(client: Client, address: str) -> None:
+    """Refuse workers that would do the work otherwise, or not at all."""
+
+    def version() -> str:
+        try:
+            import adp_path_follower.study.sweeps.workers.runs  # whether it is there
+
+            return str(adp_path_follower.__version__)
+        except ImportError as error:
+            return f"none ({error})"
+
+    for worker, found in client.run(version).items():
+        if found != __version__:
+            raise AdpError(
+                f"worker {worker} of scheduler '{address}' has adp_path_follower {found}, but this "
+                f"is {__version__}: install the same on all machines"
+            )
+
+
+@contextlib.contextmanager
+def noted_interrupts() -> Iterator[Callable[[], None]]:
+    """Note SIGINT while it raises `KeyboardInterrupt`; yield what raises it again if there was one.
+
+    Python ignores what is raised in a destructor, and Dask's futures have long ones: without the
+    note an interrupt there would be no more than a line of warning, and the work go on. Only the
+    main thread is ever interrupted.
+    """
+    received = False
+
+    def receive(number: int, frame: FrameType | None) -> None:
+        nonlocal received
+        received = True
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if received:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, receive)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)

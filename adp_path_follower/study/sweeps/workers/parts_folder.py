@@ -1,0 +1,104 @@
+"""The results of a sweep: its parts as Parquet files, each written whole or not at all."""
+
+from __future__ import annotations
+
+import io
+import itertools
+from collections.abc import Iterator
+from pathlib import Path as FilePath
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.study.sweeps.workers.output_folder import UNFINISHED, OutputFolder
+from adp_path_follower.study.sweeps.workers.plan import Plan
+from adp_path_follower.study.sweeps.workers.runs import Columns
+
+_MARK = b"adp_sweep"  # under which a file says of which sweep it is
+
+
+class PartsFolder(OutputFolder):
+    """The folder of a sweep; a part that is there is whole."""
+
+    def __init__(self, directory: FilePath, plan: Plan) -> None:
+        """Open the folder of a sweep, or make it.
+
+        Raises:
+            FileError: As `OutputFolder` does.
+
+        """
+        super().__init__(directory, "sweep", plan.sweep.description())
+        self._plan = plan
+        self._digest = plan.sweep.digest.encode()
+        self.runs = directory / "runs"
+        try:
+            self.runs.mkdir(exist_ok=True)
+            for leftover in self.runs.glob(f"*{UNFINISHED}"):
+                leftover.unlink()
+        except OSError as error:
+            raise FileError(f"output {self.runs} cannot be written: {error.strerror}") from None
+
+    def file_of(self, part: int) -> FilePath:
+        """Return the file of a part."""
+        return self.runs / f"part-{part:07d}.parquet"
+
+    def missing(self) -> list[int]:
+        """Return the numbers of the parts that are not there yet."""
+        return [part for part in range(self._plan.parts) if not self._is_there(part)]
+
+    def add(self, part: int, columns: Columns) -> None:
+        """Write a part.
+
+        Raises:
+            FileError: It cannot be written.
+
+        """
+        table = pa.table({name: _array(values) for name, values in columns.items()})
+        buffer = io.BytesIO()
+        pq.write_table(table.replace_schema_metadata({_MARK: self._digest}), buffer)
+        self.write(self.file_of(part), buffer.getvalue())
+
+    def read(self, part: int) -> Columns:
+        """Return a part: column name -> values."""
+        table = pq.read_table(self.file_of(part))
+        return {
+            name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names
+        }
+
+    def combinations(self) -> Iterator[Columns]:
+        """Return the runs of each combination of settings, one combination after the other."""
+        pending: list[Columns] = []
+        for part in range(self._plan.parts):
+            columns = self.read(part)
+            bounds = np.flatnonzero(np.diff(columns["combination"])) + 1
+            for first, last in itertools.pairwise([0, *bounds.tolist(), len(columns["run"])]):
+                some = {name: values[first:last] for name, values in columns.items()}
+                if pending and pending[0]["combination"][0] != some["combination"][0]:
+                    yield _joined(pending)
+                    pending = []
+                pending.append(some)
+        if pending:
+            yield _joined(pending)
+
+    def _is_there(self, part: int) -> bool:
+        """Return whether a part is there, of this sweep and with all its runs."""
+        file = self.file_of(part)
+        if not file.exists():
+            return False
+        try:
+            metadata = pq.read_metadata(file)
+        except (pa.ArrowException, OSError):
+            return False  # a damaged disk: these runs are made again
+        expected = len(self._plan.runs_of(part))
+        mark = (metadata.metadata or {}).get(_MARK)
+        return bool(metadata.num_rows == expected and mark == self._digest)
+
+
+def _array(values: np.ndarray) -> pa.Array:
+    return pa.array(values.tolist(), pa.string()) if values.dtype == object else pa.array(values)
+
+
+def _joined(pieces: list[Columns]) -> Columns:
+    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}

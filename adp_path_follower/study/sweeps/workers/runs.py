@@ -1,0 +1,159 @@
+"""A batch of runs, as a worker does it: from settings to a table of numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import CostSettings, PathSettings, Settings
+from adp_path_follower.core.settings.schema import update
+from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
+from adp_path_follower.study.sweeps.request.conditions import PathSource, Robot
+from adp_path_follower.study.sweeps.workers.tracking import TrackingMeter
+
+MOST_AT_ONCE = 128  # runs that one call simulates: what hides Python's overhead
+
+# What is measured of every run: name, unit, meaning.
+MEASURES: tuple[tuple[str, str, str], ...] = (
+    ("cost", "", "J = ∫ eᵀQe + uᵀRu along the true motion"),
+    ("optimal_cost", "", "J* of the offline optimum from the same start, ideal robot"),
+    ("cost_ratio", "", "J / J*"),
+    ("effort", "", "∫ uᵀRu"),
+    ("cross_track_rms", "m", "RMS distance from the path after the transient"),
+    ("cross_track_max", "m", "Greatest distance from the path after the transient"),
+    ("settling_time", "s", "Until distance and angle to the path stay below 0.05 together"),
+    ("excitation", "", "Smallest certificate of excitation; NaN where nothing learns"),
+)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Runs that differ in start and noise only.
+
+    Attributes:
+        first_run: Number of the first of the runs.
+        settings: The controller's.
+        cost: What J and effort are counted with.
+        source: The path.
+        robot: The robot.
+        starts: Initial errors, shape (B, 3).
+        optimal_cost: J* of each, shape (B,).
+        first_seed: Seed of the first run's noise; each next run has the next.
+        duration: Simulated time [s].
+        rate: Control steps per second [Hz].
+        learning: As `simulate` has it.
+        start_arc_length: Where the virtual target starts [m].
+
+    """
+
+    first_run: int
+    settings: Settings
+    cost: CostSettings
+    source: PathSource
+    robot: Robot
+    starts: FloatArray
+    optimal_cost: FloatArray
+    first_seed: int
+    duration: float
+    rate: float
+    learning: str
+    start_arc_length: float
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self.starts)
+
+
+Columns = dict[str, np.ndarray]
+
+
+def simulate_batch(batch: Batch) -> Columns:
+    """Return what the runs measure: column name -> values, shape (B,).
+
+    A run that cannot be (settings that do not fit the path) is not stable, and its `problem` says
+    why.
+    """
+    count = len(batch)
+    try:
+        path = _path(batch.source, batch.settings.path)
+        meter = TrackingMeter(path, count, batch.duration, 1.0 / batch.rate)
+        found = _simulated(batch, path, meter)
+    except (AdpError, np.linalg.LinAlgError) as error:
+        return _refused(batch, str(error))
+    seen = meter.result()
+    lost = found.failed | ~np.isfinite(found.cost)
+    missing = np.where(lost, math.nan, 1.0)
+    return {
+        **_identity(batch),
+        "cost": found.cost * missing,
+        "optimal_cost": batch.optimal_cost,
+        "cost_ratio": found.cost * missing / batch.optimal_cost,
+        "effort": found.effort * missing,
+        "cross_track_rms": seen.cross_track_rms * missing,
+        "cross_track_max": seen.cross_track_max * missing,
+        "settling_time": np.where(lost, math.inf, seen.settling_time),
+        "excitation": found.excitation,
+        "stable": ~lost & seen.ends_on_path,
+        "problem": np.full(count, "", dtype=object),
+    }
+
+
+def _simulated(batch: Batch, path: Path, meter: TrackingMeter) -> SimulationResult:
+    """Return the runs, judged by the batch's cost and driven with the controller's own."""
+    judged = dataclasses.replace(batch.settings, cost=batch.cost)
+
+    def controller(given: Settings, path: Path, arc_length: FloatArray) -> PathFollower:
+        # `given` differs from `judged` where frozen weights were asked for.
+        own = update(batch.settings, {"learning": given.learning.learning})
+        return PathFollower(own, path, arc_length)
+
+    with np.errstate(all="ignore"):  # runs that are lost overflow, and are marked
+        return simulate(
+            judged,
+            path,
+            batch.starts,
+            start_arc_length=batch.start_arc_length,
+            duration=batch.duration,
+            rate=batch.rate,
+            learning=batch.learning,
+            plant=dataclasses.replace(batch.robot.plant, seed=batch.first_seed),
+            faults=batch.robot.faults if batch.robot.faults.entries else None,
+            controller=controller,
+            observe=meter.observe,
+        )
+
+
+@functools.lru_cache(maxsize=16)
+def _path(source: PathSource, settings: PathSettings) -> Path:
+    return source.path(settings)
+
+
+def _identity(batch: Batch) -> Columns:
+    numbers = np.arange(len(batch))
+    return {
+        "run": batch.first_run + numbers,
+        "robot_seed": batch.first_seed + numbers,
+        "start_s": batch.starts[:, 0],
+        "start_y": batch.starts[:, 1],
+        "start_theta": batch.starts[:, 2],
+    }
+
+
+def _refused(batch: Batch, problem: str) -> Columns:
+    nothing = np.full(len(batch), math.nan)
+    return {
+        **_identity(batch),
+        **{name: nothing for name, _, _ in MEASURES},
+        "optimal_cost": batch.optimal_cost,
+        "settling_time": np.full(len(batch), math.inf),
+        "stable": np.zeros(len(batch), dtype=bool),
+        "problem": np.full(len(batch), problem, dtype=object),
+    }

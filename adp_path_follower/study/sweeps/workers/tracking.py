@@ -1,0 +1,98 @@
+"""How near the robots keep to the path, looked at while they drive: nothing is stored."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.geometry import FloatArray, tracking_error
+from adp_path_follower.core.path.curve import Path
+
+TRANSIENT = 10.0  # [s] after which the distance from the path counts, of runs that are longer
+SETTLED = 0.05  # of the distance [m] and the angle [rad] to the path together
+ON_PATH = 0.5  # [m] from the path, at most, at the end of a stable run
+_LAST_SHARE = 0.2  # of a run: its end
+_SAMPLING = 0.05  # [s] between two looks
+_NEWTON_STEPS = 3
+_LONGEST_STEP = 0.5  # [m] of Newton's method
+_LEAST_SLOPE = 0.1  # of Newton's method, which has none at the centre of the path's curvature
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How B runs kept to the path; places and angles are the true ones.
+
+    Attributes:
+        cross_track_rms: Of the distance from the path after the transient [m], shape (B,).
+        cross_track_max: Greatest distance then [m], shape (B,).
+        settling_time: Until distance and angle together stay below 0.05 [s], infinite where they
+            do not, shape (B,).
+        ends_on_path: Whether the run stays within 0.5 m of the path, and within a right angle of
+            its direction, over the last fifth of its time, shape (B,).
+
+    """
+
+    cross_track_rms: FloatArray
+    cross_track_max: FloatArray
+    settling_time: FloatArray
+    ends_on_path: np.ndarray
+
+
+class TrackingMeter:
+    """Looks at B runs at 20 Hz; its `observe` is what `simulate` calls."""
+
+    def __init__(self, path: Path, runs: int, duration: float, period: float) -> None:
+        """Prepare for runs of a duration [s] with control steps of a period [s]."""
+        self._path = path
+        self._stride = max(1, round(_SAMPLING / period))
+        self._period = period
+        # The lap counts where there is one; of a short run the last two thirds.
+        self._counted_from = min(TRANSIENT, duration / 3.0)
+        self._end_from = (1.0 - _LAST_SHARE) * duration
+        self._count = 0
+        self._squares = np.zeros(runs)
+        self._largest = np.zeros(runs)
+        self._unsettled = np.full(runs, -math.inf)
+        self._ends_on_path = np.ones(runs, dtype=bool)
+        self._last_time = 0.0
+
+    def observe(self, runs: slice, time: float, pose: FloatArray, output: ControlOutput) -> None:
+        """Take the true poses of some of the runs, shape (B, 3), at a time [s]."""
+        if round(time / self._period) % self._stride:
+            return
+        distance, angle = self._beside_path(pose, output.arc_length)
+        off = ~(np.hypot(distance, angle) < SETTLED)
+        self._unsettled[runs][off] = time
+        self._last_time = max(self._last_time, time)
+        if time >= self._counted_from:
+            self._squares[runs] += distance**2
+            self._largest[runs] = np.maximum(self._largest[runs], np.abs(distance))
+            self._count += runs.start == 0
+        if time >= self._end_from:
+            near = (np.abs(distance) <= ON_PATH) & (np.abs(angle) <= 0.5 * math.pi)
+            self._ends_on_path[runs] &= near
+
+    def result(self) -> Tracking:
+        """Return what was seen."""
+        settling = self._unsettled + self._stride * self._period
+        never = self._unsettled >= self._last_time
+        return Tracking(
+            cross_track_rms=np.sqrt(self._squares / max(1, self._count)),
+            cross_track_max=self._largest,
+            settling_time=np.where(never, math.inf, np.maximum(settling, 0.0)),
+            ends_on_path=self._ends_on_path,
+        )
+
+    def _beside_path(self, pose: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return distance [m] and angle [rad] to the place of the path abreast, shape (B,)."""
+        with np.errstate(all="ignore"):  # runs that are lost may be anywhere
+            for _ in range(_NEWTON_STEPS):
+                frame = self._path.frame(place)
+                error = tracking_error(pose, frame.pose)
+                slope = np.maximum(1.0 - frame.curvature * error[:, 1], _LEAST_SLOPE)
+                place = place + np.clip(error[:, 0] / slope, -_LONGEST_STEP, _LONGEST_STEP)
+            error = tracking_error(pose, self._path.frame(place).pose)
+        return error[:, 1], error[:, 2]

@@ -1,0 +1,57 @@
+"""Draw docs/images/paths.png: poses, and what is made of them.
+
+python bench/pictures/path_figure.py
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path as FilePath
+
+import matplotlib as mpl
+import numpy as np
+
+from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.settings.groups import PathSettings
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+_FILE = FilePath(__file__).parents[2] / "docs" / "images" / "paths.png"
+
+
+def cases() -> dict[str, np.ndarray]:
+    """Return poses by the title of their picture."""
+    noisy = lissajous().points(0.05)[120:260, :2]
+    angles = np.linspace(0.0, math.tau, 13)
+    return {
+        "a corner of a square of 5 poses": np.array(
+            [[0, 0], [3, 0], [3, 3], [0, 3], [0, 0]], float
+        ),
+        "noise of 1 cm": noisy + np.random.default_rng(0).normal(0.0, 0.01, noisy.shape),
+        "there and back, with allow_reversing": np.array(
+            [[0.0, 0.0], [1.0, 0.0], [2.0, 0.2], [1.2, 0.6], [0.0, 0.7]]
+        ),
+        "12 poses on a circle of 1 m": np.stack([np.cos(angles), np.sin(angles)], axis=1),
+    }
+
+
+def main() -> None:
+    """Draw the figure."""
+    figure, axes = plt.subplots(1, 4, figsize=(14, 3.6), constrained_layout=True)
+    for axis, (title, poses) in zip(axes, cases().items(), strict=True):
+        axis.plot(*poses.T, "o-", color="0.7", markersize=3, linewidth=1.0)
+        for segment in prepare(poses, PathSettings(allow_reversing=True)).segments:
+            places = segment.path.points(0.005)[:, :2]
+            axis.plot(*places.T, color="tab:orange" if segment.reverse else "tab:blue")
+        axis.set_title(title, fontsize=9)
+        axis.set_aspect("equal")
+        axis.set_xlabel("x [m]")
+    axes[0].set_xlim(2.5, 3.1)
+    axes[0].set_ylim(-0.1, 0.5)
+    figure.savefig(_FILE, dpi=90)
+
+
+if __name__ == "__main__":
+    main()

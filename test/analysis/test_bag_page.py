@@ -1,0 +1,270 @@
+"""The report in a real browser, without a screen."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any
+
+import pytest
+
+from bag_messages import drive_on_line, learner_run, text, twist, write_bag
+
+pytest.importorskip("plotly", reason="the report needs the extra 'report'")
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from adp_path_follower.analysis.bag_analysis import analyse_bag
+from adp_path_follower.analysis.bag_page import write_report
+from adp_path_follower.analysis.events import KINDS
+from adp_path_follower.analysis.metrics import parse_requirement
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+ARGUMENTS = [
+    *("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"),
+    *("--disable-component-update", "--disable-sync"),
+]
+ATTACK = (
+    "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='t'\">"
+)
+WIDTHS = {"wide": (1280, 900), "narrow": (400, 800)}
+
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium"
+)
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory) -> dict[str, FilePath]:
+    """Return reports of one bag, of two, of another controller's, and of one full of tags."""
+    folder = tmp_path_factory.mktemp("pages")
+    bags = {
+        "mine": learner_run(),
+        "other": drive_on_line(lambda time: 0.1 / (1.0 + time), commands=twist, rate=20),
+        ATTACK.replace("/", "\u2215"): [
+            *learner_run(hostile=ATTACK),
+            (f"/{ATTACK}", 20 * 10**9, text(ATTACK)),
+        ],
+    }
+    for name, messages in bags.items():
+        write_bag(folder / name, messages)
+    found = {}
+    mine, other, hostile = bags
+    contents = {"one": [mine], "two": [mine, other], "foreign": [other], "hostile": [hostile]}
+    for title, names in contents.items():
+        analyses = [
+            analyse_bag(folder / name, {}, len(names), folder / "trajectory.tum") for name in names
+        ]
+        found[title] = folder / f"{title}.html"
+        write_report(analyses, [parse_requirement("cross_track_max<0.1")], found[title])
+    return found
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as driver:
+        found = driver.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield found
+        found.close()
+
+
+@dataclass
+class Visit:
+    """An open page, and what it said and asked for."""
+
+    page: Any
+    said: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+
+    def robot(self) -> str:
+        """Return where the robot is drawn."""
+        return str(
+            self.page.evaluate(
+                "document.getElementById('figure-track').layout.shapes"
+                ".find((shape) => shape.name === 'robot').path"
+            )
+        )
+
+    def cursor(self, figure: str) -> float:
+        """Return the time that a figure's line is at."""
+        return float(
+            self.page.evaluate(
+                f"document.getElementById('figure-{figure}').layout.shapes"
+                ".find((shape) => shape.name === 'now').x0"
+            )
+        )
+
+
+def open_page(browser: Any, file: FilePath, size: str = "wide", scheme: str = "light") -> Visit:
+    width, height = WIDTHS[size]
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+    visit = Visit(context.new_page())
+    visit.page.on("console", lambda message: visit.said.append(message.text))
+    visit.page.on("pageerror", lambda error: visit.said.append(str(error)))
+    visit.page.on("request", lambda request: visit.asked.append(request.url))
+    visit.page.goto(file.as_uri())
+    visit.page.wait_for_selector("html[data-ready=true]")
+    return visit
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", WIDTHS)
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_it_opens_without_complaint_and_without_network(pages, browser, name, size, scheme):
+    visit = open_page(browser, pages[name], size, scheme)
+    assert visit.said == []
+    assert visit.asked == [pages[name].as_uri()]
+    width = visit.page.evaluate("document.documentElement.scrollWidth")
+    assert width == WIDTHS[size][0]  # nothing sticks out
+    empty = visit.page.evaluate(
+        "[...document.querySelectorAll('[data-figure]')].filter((element) =>"
+        " !element.data.some((trace) => trace.x && (trace.x.length || trace.x.bdata)) ||"
+        " !element.querySelector('.trace path, .point path, .scatterlayer path, .bars path'))"
+        ".map((element) => element.id)"
+    )
+    assert empty == []
+
+
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_the_metrics_can_be_read_on_a_telephone(pages, browser, name):
+    """Name, meaning, unit and every value, without scrolling; the name stays where it must be."""
+    visit = open_page(browser, pages[name], "narrow")
+    table = visit.page.locator("#metrics .scroll")
+    assert table.evaluate("(element) => element.scrollWidth <= element.clientWidth")
+    row = visit.page.locator("#metrics tr", has_text="Median time from odometry")
+    assert "Median time from odometry to its command, as recorded [s]" in row.inner_text()
+    assert "meaning" not in table.inner_text()
+    name_cell = row.locator("th")
+    assert name_cell.evaluate("(element) => getComputedStyle(element).position") == "sticky"
+    assert name_cell.bounding_box()["width"] > 130
+    wide = open_page(browser, pages[name]).page.locator("#metrics tr", has_text="latency_p50")
+    assert wide.inner_text().split("\t")[-2:] == [
+        *("s", "Median time from odometry to its command, as recorded")
+    ]
+
+
+def test_the_slider_moves_the_robot_and_every_line(pages, browser):
+    visit = open_page(browser, pages["one"])
+    before = visit.robot()
+    visit.page.focus("#time")
+    for _ in range(20):
+        visit.page.keyboard.press("ArrowRight")
+    time = float(visit.page.input_value("#time"))
+    assert time == pytest.approx(0.1 * 12.0, abs=0.05)
+    assert visit.robot() != before
+    visit.page.evaluate("document.getElementById('time').value = 6")
+    visit.page.dispatch_event("#time", "input")
+    assert visit.page.inner_text("#now") == "6.00 s"
+    for figure in ("errors", "commands", "weights", "bellman_error", "excitation", "events"):
+        visit.page.locator(f"#figure-{figure}").scroll_into_view_if_needed()
+        # The page draws what comes into sight; its policy forbids the library's own waiting.
+        for _ in range(100):
+            if visit.cursor(figure) == pytest.approx(6.0):
+                break
+            visit.page.wait_for_timeout(20)
+        assert visit.cursor(figure) == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("name", ["one", "two", "foreign"])
+def test_captions_speak_of_what_is_there(pages, browser, name):
+    text = open_page(browser, pages[name]).page.inner_text("main")
+    learned = name != "foreign"
+    assert ("virtual target" in text) == learned
+    assert ("dashed lines are the limits" in text) == learned
+    assert ("colour is the distance" in text) == (name != "two")
+
+
+def test_all_kinds_of_events_have_their_place(pages, browser):
+    axis = "document.getElementById('figure-events')._fullLayout.yaxis"
+    visit = open_page(browser, pages["two"])
+    assert visit.page.evaluate(f"{axis}.range") == [-0.5, 4.5]
+    assert visit.page.evaluate(f"{axis}.categoryarray") == list(reversed(KINDS))
+
+
+def test_only_a_target_that_was_recorded_is_drawn(pages, browser):
+    visit = open_page(browser, pages["two"])
+    names = visit.page.evaluate(
+        "document.getElementById('figure-track').layout.shapes.map((shape) => shape.name)"
+    )
+    assert sorted(names) == ["robot", "robot", "target"]
+
+
+def test_play_runs_and_stops(pages, browser):
+    visit = open_page(browser, pages["one"])
+    visit.page.select_option("#speed", "1")  # for 12 s: the machine may be busy
+    visit.page.click("#play")
+    assert visit.page.get_attribute("#play", "aria-pressed") == "true"
+    visit.page.select_option("#speed", "20")
+    visit.page.wait_for_selector("#play[aria-pressed=false]")
+    assert float(visit.page.input_value("#time")) == pytest.approx(12.0, abs=0.01)
+
+
+def test_strings_of_a_bag_do_nothing(pages, browser):
+    visit = open_page(browser, pages["hostile"])
+    assert visit.said == []
+    assert visit.asked == [pages["hostile"].as_uri()]
+    assert visit.page.title().startswith("Run report: ")
+    assert visit.page.locator("img[src=x]").count() == 0
+    visit.page.locator("summary").last.click()
+    assert ATTACK in visit.page.inner_text("main")
+
+
+def test_it_can_be_used_without_seeing_it(pages, browser):
+    """Every control has a name, every image too, and texts stand out from the page."""
+    visit = open_page(browser, pages["two"])
+    nameless = visit.page.evaluate(
+        "[...document.querySelectorAll('button, input, select, [role=img], [role=region]')]"
+        ".filter((element) => !element.closest('.modebar') && !element.getAttribute('aria-label')"
+        " && !element.getAttribute('aria-labelledby') && !element.labels?.length"
+        " && !element.textContent.trim()).map((element) => element.outerHTML)"
+    )
+    assert nameless == []
+    assert visit.page.get_attribute("html", "lang") == "en"
+    # While playing, the time would be read out sixty times a second.
+    assert visit.page.get_attribute("#now", "aria-live") == "off"
+    assert visit.page.locator("h1").count() == 1
+    for scheme in ("light", "dark"):
+        visit.page.emulate_media(color_scheme=scheme)
+        for name in ("--text", "--quiet", "--link", "--good", "--bad"):
+            assert contrast(visit.page, name, "--page") >= 4.5
+
+
+def test_the_track_stands_out_from_either_page(pages, browser):
+    """Whatever the distance from the path, also after the theme has changed."""
+    visit = open_page(browser, pages["one"])
+    before = None
+    for scheme in ("light", "dark", "light"):
+        visit.page.emulate_media(color_scheme=scheme)
+        for _ in range(100):  # the page hears of it a little later
+            scale = visit.page.evaluate(
+                "document.getElementById('figure-track')._fullData"
+                ".find((trace) => trace.marker && trace.marker.showscale).marker.colorscale"
+            )
+            if scale != before:
+                break
+            visit.page.wait_for_timeout(20)
+        assert len(scale) == 5
+        assert min(contrast(visit.page, color, "--page") for _, color in scale) >= 3.0
+        before = scale
+
+
+def contrast(page: Any, first: str, second: str) -> float:
+    """Return the contrast ratio of two colours, or names of the page's, as WCAG defines it."""
+
+    def luminance(name: str) -> float:
+        color = (
+            name
+            if name.startswith("#")
+            else page.evaluate(
+                f"getComputedStyle(document.documentElement).getPropertyValue('{name}').trim()"
+            )
+        )
+        parts = [int(color[at : at + 2], 16) / 255.0 for at in (1, 3, 5)]
+        linear = [
+            part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts
+        ]
+        return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
+
+    light, dark = sorted((luminance(first), luminance(second)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)

@@ -1,0 +1,285 @@
+"""The offline optimum against values computed elsewhere, and against its necessary conditions."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from commands import adp
+from folders import DATA
+
+pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
+
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
+from adp_path_follower.study.optimum.collocation import OptimumSolver
+from adp_path_follower.study.optimum.costate import solve_costates
+from adp_path_follower.study.optimum.problem import OptimumError
+from adp_path_follower.study.simulation.simulate import simulate
+
+REFERENCE = json.loads((DATA / "optimum.json").read_text())
+PAPER_START = REFERENCE["figure_eight"]["start"]
+UNLIMITED = {
+    "min_linear_vel": -math.inf,
+    "max_linear_vel": math.inf,
+    "max_angular_vel": math.inf,
+}
+CORNER = "x,y\n0,0\n1,0\n2,0\n3,0\n3,1\n3,2\n3,3\n3,8\n"
+PATHS = {"lissajous": "lissajous", "line": "line", "circle0.5": "circle:0.5"}
+PATHS["circle1.0"] = "circle:1.0"
+
+
+def solver(path: str = "lissajous", horizon: float = 30.0, **settings: object) -> OptimumSolver:
+    built = build(Settings, {**UNLIMITED, **settings})
+    return OptimumSolver(built, named_path(path), horizon=horizon)
+
+
+@pytest.mark.parametrize("key", PATHS)
+def test_agrees_with_every_reference_value(key):
+    costs = REFERENCE["forty_starts"][key]["costs"]
+    optimum = solver(PATHS[key])
+    found = [optimum.solve(np.array(start)) for start in REFERENCE["forty_starts"]["e0"]]
+    assert [item.cost for item in found] == pytest.approx(costs, rel=1e-5)
+    assert max(item.horizon_change for item in found) < 1e-6
+    assert not any(item.has_local_optima for item in found)
+
+
+@pytest.mark.parametrize(
+    ("curvature", "cost"),
+    REFERENCE["constant_curvature_costs_from_the_same_start"].items(),
+)
+def test_agrees_on_circles(curvature, cost):
+    path = "line" if curvature == "0" else f"circle:{curvature}"
+    assert solver(path).solve(np.array(PAPER_START)).cost == pytest.approx(cost, rel=1e-6)
+
+
+def test_agrees_with_the_reference_motion():
+    reference = REFERENCE["figure_eight"]
+    motion = solver().solve(np.array(PAPER_START)).motion
+    for row, column in enumerate(("s", "y", "theta")):
+        # Straight lines between collocation points are good to what the reference is rounded to
+        # only where the points lie close.
+        found = np.interp(reference["t"], motion.time, motion.state[:, row])
+        expected = np.array(reference["e"])[:, row]
+        assert found == pytest.approx(expected, abs=2e-3), column
+    assert motion.modified_input[0] == pytest.approx(reference["u"][0], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("settings", "start"),
+    [
+        ({}, PAPER_START),
+        ({}, [0.8, -0.6, 0.9]),
+        ({"state_cost": (1.0, 3.0, 0.5), "input_cost": (2.0, 0.5)}, [0.3, 0.4, -0.5]),
+        ({"state_cost": (1.0, 0.2, 0.0, 0.2, 2.0, 0.1, 0.0, 0.1, 1.0)}, [0.3, 0.4, -0.5]),
+        ({"input_cost": (1.0, 0.3, 0.3, 2.0)}, [0.3, 0.4, -0.5]),
+        ({"min_linear_vel": 0.0, "max_linear_vel": 1.0, "max_angular_vel": 1.5}, [1.0, 1.0, 1.0]),
+    ],
+)
+def test_collocation_and_costates_agree(settings, start):
+    optimum = solver(**settings)
+    found = optimum.solve(np.array(start))
+    assert solve_costates(optimum.problem, found.motion).cost == pytest.approx(found.cost, rel=1e-6)
+
+
+def test_costates_are_the_gradient_of_the_optimal_cost():
+    optimum, start, step = solver(), np.array([0.4, -0.3, 0.5]), 1e-3
+    extremal = solve_costates(optimum.problem, optimum.solve(start).motion)
+    for axis in range(3):
+        shift = step * np.eye(3)[axis]
+        ahead, behind = optimum.solve(start + shift).cost, optimum.solve(start - shift).cost
+        assert extremal.costates[axis] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-4)
+
+
+def test_limits_hold_and_cost():
+    limits = {"min_linear_vel": 0.0, "max_linear_vel": 1.0, "max_angular_vel": 1.5}
+    start = np.array([1.0, 1.0, 1.0])
+    optimum = solver(**limits)
+    motion = optimum.solve(start).motion
+    linear = 0.5 + motion.modified_input[1:, 0]
+    curvature = named_path("lissajous").curvature(motion.state[1:, 3])
+    angular = 0.5 * curvature + motion.modified_input[1:, 1]
+    assert linear.min() > -1e-6
+    assert linear.max() < 1.0 + 1e-6
+    assert np.abs(angular).max() < 1.5 + 1e-6
+    assert motion.cost > solver().solve(start).cost * 1.01
+
+
+def test_no_controller_is_better_than_the_optimum():
+    """Bellman's word: whatever policy is simulated, J is not below J*."""
+    path, rng = named_path("lissajous"), np.random.default_rng(3)
+    starts = rng.uniform(-1.0, 1.0, (6, 3))
+    optimum = solver()
+    best = np.array([optimum.solve(start).cost for start in starts])
+    costs = [
+        simulate(build(Settings, {**UNLIMITED, **assignments}), path, starts, duration=30.0).cost
+        for assignments in ({}, {"learning": False}, {"basis_degree": 3})
+    ]
+    assert len({cost.tobytes() for cost in costs}) == 3  # policies that differ
+    assert (np.array(costs) > best * (1.0 - 1e-5)).all()
+
+
+def test_on_the_path_nothing_is_to_be_won():
+    assert solver("circle:0.5").solve(np.zeros(3)).cost == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("start", [[math.nan, 0.0, 0.0], [0.0, 0.0], [math.inf, 1.0, 1.0]])
+def test_refuses_starts_that_are_none(start):
+    with pytest.raises(OptimumError, match="must be finite values s, y, theta"):
+        solver().solve(np.array(start))
+
+
+@pytest.mark.parametrize("horizon", [-1.0, math.nan, math.inf, 1e7])
+def test_refuses_a_horizon_that_is_none(horizon):
+    with pytest.raises(OptimumError, match="must be finite, the horizon above 0 and at most 1000"):
+        solver(horizon=horizon)
+
+
+def test_refuses_more_path_than_it_can_prepare():
+    with pytest.raises(OptimumError, match=r"covers 9.*e\+03 m within the horizon"):
+        solver(horizon=300.0, desired_speed=20.0)
+
+
+def test_turns_the_shorter_way_round():
+    starts = np.array([[2.0, 3.0, 3.1], [2.0, -3.0, -3.1]])
+    optimum = solver("line")
+    driven = simulate(
+        build(Settings, UNLIMITED), optimum.problem.path, starts, duration=15.0, rate=25.0
+    ).cost
+    for start, cost in zip(starts, driven, strict=True):
+        found = optimum.solve(start)
+        assert found.cost < cost < found.guesses[-1]  # a controller beats the other way round
+        assert found.has_local_optima
+        extremal = solve_costates(optimum.problem, found.motion)
+        assert extremal.cost == pytest.approx(found.cost, rel=1e-6)
+
+
+def test_where_the_turn_is_limited_in_a_corner_the_costates_agree(tmp_path):
+    corner = tmp_path / "corner.csv"
+    corner.write_text(CORNER)
+    limits = {"min_linear_vel": 0.0, "max_linear_vel": 1.0, "max_angular_vel": 1.5}
+    optimum = solver(str(corner), horizon=15.0, **limits)
+    found = optimum.solve(np.array([0.1, 0.1, 0.1]))
+    assert found.mesh_change < 1e-6
+    assert solve_costates(optimum.problem, found.motion).cost == pytest.approx(found.cost, rel=1e-5)
+
+
+def test_theta_counts_as_the_heading_that_it_is():
+    optimum = solver("line", horizon=15.0)
+    first, second = (
+        optimum.solve(np.array([0.5, 0.5, turn])).cost for turn in (0.4, 0.4 + 4 * math.pi)
+    )
+    assert first == pytest.approx(second, rel=1e-9)
+
+
+def test_the_mesh_follows_the_corners_of_a_path(tmp_path):
+    corner = tmp_path / "corner.csv"
+    corner.write_text(CORNER)
+    optimum = solver(str(corner))
+    found = optimum.solve(np.array([0.1, 0.1, 0.1]))
+    # 640 intervals of the mesh that knows nothing of corners gave 0.070469232.
+    assert found.cost == pytest.approx(0.070469232, rel=1e-6)
+    assert found.mesh_change < 1e-6
+    assert solve_costates(optimum.problem, found.motion).cost == pytest.approx(found.cost, rel=1e-5)
+
+
+def test_the_command_writes_what_it_found(tmp_path):
+    done = adp(
+        "optimum",
+        *("--check", "--json", "o.json", "--npz", "o.npz", "--figure", "o.png"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    (entry,) = json.loads((tmp_path / "o.json").read_text())["optima"]
+    assert entry["converged"]
+    assert entry["cost"] == pytest.approx(REFERENCE["figure_eight"]["cost"], rel=1e-6)
+    assert entry["costate_cost"] == pytest.approx(entry["cost"], rel=1e-7)
+    arrays = np.load(tmp_path / "o.npz", allow_pickle=False)
+    assert arrays["state_0"].shape == (len(entry["t"]), 4)
+    assert (tmp_path / "o.png").stat().st_size > 10_000
+    assert "0.5418868" in done.stdout
+
+
+def test_a_start_without_an_optimum_is_named_and_the_others_are_there(tmp_path):
+    done = adp(
+        "optimum",
+        *("--start", "nan", "0", "0", "--start", "0.1", "0.1", "0.1", "--json", "o.json"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 1
+    assert "start is [nan, 0.0, 0.0]" in done.stderr
+    assert "Traceback" not in done.stderr
+    bad, good = json.loads((tmp_path / "o.json").read_text())["optima"]
+    assert not bad["converged"]
+    assert good["converged"]
+
+
+def test_an_optimum_of_a_short_horizon_is_called_so(tmp_path):
+    done = adp("optimum", "--horizon", "1", "--json", "o.json", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "with a horizon half as long again: give a longer --horizon" in done.stderr
+    (entry,) = json.loads((tmp_path / "o.json").read_text())["optima"]
+    assert not entry["converged"]
+
+
+def test_a_check_that_disagrees_is_said(monkeypatch):
+    from adp_path_follower.study.optimum import costate
+
+    extremal = costate.Extremal(0.5418868 * (1.0 + 2e-5), np.zeros(4))
+    monkeypatch.setattr(costate, "solve_costates", lambda problem, motion: extremal)
+    done = adp("optimum", "--check")
+    assert done.returncode == 1
+    assert "is 0.5418868 by collocation, but 0.5418976 by costates" in done.stderr
+
+
+def test_a_speed_that_varies_along_the_path_is_mentioned():
+    start = ["--horizon", "20", "--start", "0.1", "0.1", "0.1"]
+    assert "v_des varies along this path" not in adp("optimum", *start).stdout
+    for limit in ("max_lateral_accel=0.1", "max_linear_accel=1.0"):
+        done = adp("optimum", *start, "--set", limit)
+        assert done.returncode == 0, done.stderr
+        assert "v_des varies along this path" in done.stdout
+
+
+def test_the_speed_limit_counts():
+    limits = {"max_linear_vel": 1.0, "speed_limit": 0.6}
+    optimum = solver(**limits)
+    found = optimum.solve(np.array([-1.0, 0.2, 0.1]))
+    assert 0.5 + found.motion.modified_input[:, 0].max() == pytest.approx(0.6, abs=1e-6)
+    assert solve_costates(optimum.problem, found.motion).cost == pytest.approx(found.cost, rel=1e-6)
+
+
+def test_a_path_is_prepared_as_the_parameters_say(tmp_path):
+    (tmp_path / "corner.csv").write_text("x,y\n0,0\n3,0\n3,3\n")
+    costs = []
+    for tolerance in (0.02, 0.2):
+        done = adp(
+            *("optimum", "--path", "corner.csv", "--set", f"path_tolerance={tolerance}"),
+            *("--start", "0.1", "0.1", "0.1", "--start-arc-length", "2", "--json", "o.json"),
+            cwd=tmp_path,
+        )
+        assert done.returncode == 0, done.stderr
+        (entry,) = json.loads((tmp_path / "o.json").read_text())["optima"]
+        costs.append(entry["cost"])
+    assert costs[0] != pytest.approx(costs[1], rel=1e-3)
+
+
+def test_without_casadi_the_command_names_the_extra(tmp_path):
+    (tmp_path / "casadi.py").write_text("raise ImportError('not here')\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "adp_path_follower.cli.main", "optimum"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "pip install 'adp_path_follower[optimum]'" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

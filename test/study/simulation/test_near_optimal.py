@@ -1,0 +1,100 @@
+"""The default settings against the offline optimum: what the README promises."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
+from adp_path_follower.study.simulation.simulate import simulate
+from folders import DATA
+
+REFERENCE = json.loads((DATA / "optimum.json").read_text())
+BEFORE_THE_BEND = json.loads((DATA / "optimum_before_bend.json").read_text())
+FROM_THE_PAPERS_START = REFERENCE["figure_eight"]["cost"]
+UNLIMITED = {
+    "min_linear_vel": -math.inf,
+    "max_linear_vel": math.inf,
+    "max_angular_vel": math.inf,
+}
+DURATION = 15.0  # [s] of the 30 s of the reference: what is left then costs nothing
+ROUGH = (0.5, 0.0, 0.0, 0.0, 0.5, 1.0)  # the paper's weights, of s², s y, s θ, y², y θ, θ²
+COLD = {
+    "initial_weights": "listed",
+    "initial_critic_weights": ROUGH,
+    "initial_actor_weights": ROUGH,
+}
+
+
+@pytest.mark.parametrize("name", ["line", "circle:0.5", "circle:1.0", "lissajous"])
+def test_forty_starts_cost_hardly_more_than_the_optimum(name):
+    reference = REFERENCE["forty_starts"]
+    result = simulate(
+        build(Settings, UNLIMITED),
+        named_path(name),
+        reference["e0"],
+        learning="warm",
+        duration=DURATION,
+        rate=100.0,
+    )
+    assert np.abs(result.final_error).max() < 1e-3
+    ratio = result.cost / reference[name.replace(":", "")]["costs"]
+    assert np.percentile(ratio, 95) <= 1.002
+    assert ratio.max() <= 1.005
+    assert ratio.min() > 1.0 - 1e-4  # nothing is better than the optimum
+
+
+def test_forty_starts_before_the_sharpest_bend_know_what_comes():
+    result = simulate(
+        build(Settings, UNLIMITED),
+        named_path("lissajous"),
+        REFERENCE["forty_starts"]["e0"],
+        start_arc_length=BEFORE_THE_BEND["start_arc_length"],
+        learning="warm",
+        duration=DURATION,
+        rate=100.0,
+    )
+    assert np.abs(result.final_error).max() < 2e-3  # in the bend
+    ratio = result.cost / BEFORE_THE_BEND["costs"]
+    assert np.percentile(ratio, 95) <= 1.004
+    assert ratio.min() > 1.0 - 1e-4
+
+
+def test_a_lap_costs_no_more_than_its_share_of_ten_minutes():
+    """1e-4 between 60 s and 600 s is what is promised; a lap is 262 s, with all its bends."""
+    path, followers, costs = named_path("lissajous"), [], {}
+
+    def make(*arguments):
+        followers.append(PathFollower(*arguments))
+        return followers[0]
+
+    def note(runs, time, pose, output):
+        costs[round(time, 2)] = float(followers[0].cost[0])
+
+    lap = path.length / 0.5
+    simulate(build(Settings, UNLIMITED), path, duration=60.0 + lap, controller=make, observe=note)
+    assert 0.0 < max(costs.values()) - costs[60.0] < 1e-4 * lap / 540.0
+
+
+@pytest.mark.parametrize(
+    ("learning", "values", "most"),
+    [
+        ("warm", {}, 1.001),
+        ("cold", COLD, 1.002),
+        ("cold", {**COLD, "actor_gain": 5.0}, 1.015),
+    ],
+    ids=["warm", "cold", "cold with the paper's actor gain"],
+)
+def test_the_papers_start_costs_hardly_more_than_the_optimum(learning, values, most):
+    tuning = build(Settings, {**UNLIMITED, **values})
+    result = simulate(
+        tuning, named_path("lissajous"), learning=learning, duration=DURATION, rate=100.0
+    )
+    assert np.abs(result.final_error).max() < 1e-3
+    assert 1.0 - 1e-4 < float(result.cost[0]) / FROM_THE_PAPERS_START <= most

@@ -1,0 +1,151 @@
+"""The report of a sweep, and what is told of the best settings."""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+
+import numpy as np
+import pytest
+
+from folders import ROOT
+
+pytest.importorskip("distributed", reason="the extra 'sweep' is not installed")
+
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.study.sweeps.overview import overview, summary_text
+from adp_path_follower.study.sweeps.page import sweep_figures
+from adp_path_follower.study.sweeps.request.sweep_file import read_sweep
+from adp_path_follower.study.sweeps.sweep import write_results
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+ATTACK = "<img src=x onerror=alert(1)>"
+SWEEP = f"""
+settings:
+  actor_gain: [1.0, 10.0, 100.0]
+  target_gain: {{low: 0.1, high: 1.0}}
+  save_weights_to: ["a.npz", "{ATTACK}"]
+samples: 16
+starts: [[0, 0, 0], [0.1, 0, 0]]
+paths: [line, lissajous]
+"""
+
+
+def gain_loss(values) -> float:
+    """Return a cost that has its least at actor_gain 10 and target_gain 0.5."""
+    return 1.0 + abs(np.log10(values["actor_gain"]) - 1.0) + (values["target_gain"] - 0.5) ** 2
+
+
+def runs_of(sweep, unstable=()):
+    """Return made-up runs whose costs are known; some combinations have one unstable run."""
+    rng = np.random.default_rng(0)
+    count = sweep.runs_each * sweep.groups_each
+    for number in range(sweep.combinations):
+        cost = gain_loss(sweep.varied(number)) + np.array([0.0, 0.1, 0.2, 0.3])
+        yield {
+            "combination": np.full(count, number),
+            "path": np.array(["line", "line", "lissajous", "lissajous"], dtype=object),
+            "robot": np.full(count, "ideal", dtype=object),
+            "cost": cost,
+            "optimal_cost": np.full(count, 1.0),
+            "cost_ratio": cost,
+            "effort": 3.0 - cost + 0.01 * rng.uniform(size=count),
+            "cross_track_rms": cost / 100.0,
+            "cross_track_max": cost / 50.0,
+            "settling_time": cost,
+            "stable": np.array([number not in unstable, True, True, True]),
+            "problem": np.full(count, "", dtype=object),
+        }
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    file = tmp_path / "sweep.yaml"
+    file.write_text(textwrap.dedent(SWEEP))
+    return read_sweep(file)
+
+
+def losses(sweep) -> np.ndarray:
+    return np.array([gain_loss(sweep.varied(number)) for number in range(sweep.combinations)])
+
+
+def test_the_best_is_the_best_that_is_stable(sweep, tmp_path):
+    order = np.argsort(losses(sweep), kind="stable")
+    found = overview(sweep, runs_of(sweep))
+    assert found.best == order[0]
+    assert found.ranked.tolist() == order.tolist()
+    assert [case.path for case in found.cases] == ["line", "lissajous"]
+    least = losses(sweep)[order[0]]
+    assert found.cases[1].median == pytest.approx(least + 0.3)
+    assert found.scores["worst_case"][order[0]] == pytest.approx(least + 0.3)
+    assert found.scores["cost"][order[0]] == pytest.approx(least + 0.15)
+
+    bad = set(order[:3].tolist())
+    found = overview(sweep, runs_of(sweep, bad))
+    assert found.best == order[3]
+    assert set(found.front) & bad == set()
+    text = summary_text(found)
+    assert "3 of 96 combinations are unstable in some run (3 of 384 runs)" in text
+    write_results(found, "mine", tmp_path)
+    best = load_settings(Settings, "path_follower", tmp_path / "best.yaml")
+    assert best == sweep.settings(order[3])
+
+    nothing = overview(sweep, runs_of(sweep, range(96)))
+    assert nothing.best is None
+    write_results(nothing, "mine", tmp_path)
+    assert not (tmp_path / "best.yaml").exists()
+    assert "no combination of settings is stable" in summary_text(nothing)
+
+
+def test_heat_maps_show_what_matters_first(sweep):
+    figures = sweep_figures(overview(sweep, runs_of(sweep)))
+    first = figures["map_1"]
+    assert first["layout"]["xaxis"]["title"]["text"] == "actor_gain"
+    assert first["layout"]["yaxis"]["title"]["text"] == "target_gain"
+    field = np.array(first["data"][0]["z"], dtype=float)
+    assert field.shape[1] == 3
+    assert (np.nanargmin(field, axis=1) == 1).all()  # actor_gain: 10
+    assert list(figures) == ["pareto", "map_1", "map_2", "map_3"]
+    assert ATTACK not in str(figures["pareto"]["data"])
+
+
+def test_where_nothing_is_stable_the_maps_show_how_much_is_not(sweep):
+    found = overview(sweep, runs_of(sweep, range(96)))
+    figures = sweep_figures(found)
+    assert list(figures) == ["map_1", "map_2", "map_3"]
+    for figure in figures.values():
+        assert figure["data"][0]["colorbar"]["title"]["text"] == "unstable runs"
+        shares = np.array(figure["data"][0]["z"], dtype=float)
+        known = shares[np.isfinite(shares)]
+        assert known.size
+        assert known == pytest.approx(found.unstable[0] * 96 / sweep.runs)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
+def test_the_page_opens_without_network_and_without_errors(sweep, tmp_path):
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    write_results(overview(sweep, runs_of(sweep, {0, 1})), ATTACK, tmp_path)
+    problems: list[str] = []
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
+        )
+        page = browser.new_context(offline=True).new_page()
+        page.on("console", lambda message: problems.append(message.text))
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.on("dialog", lambda dialog: problems.append(dialog.message))
+        page.goto((tmp_path / "report.html").as_uri())
+        page.wait_for_function("document.documentElement.dataset.ready === 'true'")
+        drawn = page.locator(".figure .main-svg").count()
+        text = page.inner_text("main")
+        browser.close()
+    assert drawn >= 4
+    assert "Best settings" in text
+    assert "Pareto front" in text
+    assert problems == []
+
+
+def test_the_files_of_the_page_are_installed():
+    folder = ROOT / "adp_path_follower" / "drawing" / "templates"
+    assert {"sweep.html.j2", "sweep.js", "report.css"} <= {file.name for file in folder.iterdir()}
