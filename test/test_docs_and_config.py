@@ -123,7 +123,7 @@ def test_the_table_of_faults_is_that_of_the_bench_and_its_tests_exist():
     ]
     assert isinstance(faults, ast.Dict)
     assert [name for name, _ in rows] == [ast.literal_eval(key) for key in faults.keys]
-    tests = " ".join(file.read_text() for file in (ROOT / "test" / "nodes").glob("test_*.py"))
+    tests = " ".join(file.read_text() for file in (ROOT / "test" / "ros").rglob("test_*.py"))
     for _, test in rows:
         assert re.search(rf"def test_\w*{test}", tests), test
 
