@@ -30,8 +30,9 @@ format: $(VENV)/ready-lint  ## Format the code
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-docs: $(VENV)/ready  ## Generate docs/parameters.md
+docs: $(VENV)/ready-test  ## Generate the tables in docs/parameters.md and docs/safety.md
 	$(BIN)/adp parameters --format markdown > docs/parameters.md
+	$(BIN)/python bench/endurance/faults.py --table
 
 bench: $(VENV)/ready-test  ## Measure ticks, learning steps, simulation and the node
 	@rm -f $(BENCH_RESULTS)

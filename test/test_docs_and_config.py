@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import ast
+import json
 import math
 import re
+import runpy
 
 import pytest
 import yaml
@@ -112,19 +113,14 @@ def test_links_in_the_docs_lead_somewhere():
 
 
 def test_the_table_of_faults_is_that_of_the_bench_and_its_tests_exist():
-    text = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
-    rows = re.findall(
-        r"^\| ([^|]+) \| [^|]+ \| [^|]+ \| \d+ ms \| \d+ ms \| `(\w+)` \|$", text, re.M
-    )
-    (faults,) = [
-        node.value
-        for node in ast.parse((ROOT / "bench" / "endurance" / "fault_table.py").read_text()).body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FAULTS"
-    ]
-    assert isinstance(faults, ast.Dict)
-    assert [name for name, _ in rows] == [ast.literal_eval(key) for key in faults.keys]
+    bench = runpy.run_path(str(ROOT / "bench" / "endurance" / "fault_table.py"))
+    times = json.loads(bench["TIMES"].read_text(encoding="utf-8"))
+    assert set(times) == set(bench["FAULTS"])
+    page = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    assert page.count(bench["BEGIN"]) == page.count(bench["END"]) == 1
+    assert page == bench["with_table"](page, times)
     tests = " ".join(file.read_text() for file in (ROOT / "test" / "ros").rglob("test_*.py"))
-    for _, test in rows:
+    for _, _, test in bench["FAULTS"].values():
         assert re.search(rf"def test_\w*{test}", tests), test
 
 

@@ -13,9 +13,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
 from typing import Any
 
-sys.path.insert(0, str(FilePath(__file__).resolve().parents[2] / "test" / "support"))
+_TESTS = FilePath(__file__).resolve().parents[2] / "test"
+sys.path[:0] = [str(_TESTS / "support"), str(_TESTS / "ros" / "controller")]
 
-# What the tests have for nodes, and a peer on their domain.
+# The tests' nodes, and a peer on their domain.
 from geometry_msgs.msg import TwistStamped
 
 from adp_path_follower.study.demo.processes import NodeProcess

@@ -2,8 +2,8 @@
 
     python bench/endurance/faults.py [--runs 20] [--group NAME ...] [--only TEXT] [--json FILE]
 
-With `--json` the times are laid over those that are in the file already; `--table` prints that file
-as the table of docs/safety.md instead of measuring.
+With `--json` new times replace those in the file. `--table` measures nothing: it takes the times of
+`--json`, if given, into fault_times.json, and writes the table in docs/safety.md.
 
 A controller follows a line; the fault is injected again and again, each time after it has been
 seen to move the robot. Time is from the injection until a command of zero velocity is received, so
@@ -28,7 +28,7 @@ from fault_robots import (  # before the next, which it makes known
     Bench,
     from_last_motion,
 )
-from fault_table import GROUPS, table
+from fault_table import GROUPS, TIMES, summary, with_table
 
 # isort: split
 # What the tests have for nodes, a peer on their domain and a defective controller.
@@ -38,7 +38,7 @@ from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
-from test_controller_node import BROKEN_CONTROLLER
+from test_node import BROKEN_CONTROLLER
 from test_left_alone import DEFECTIVE_TRANSITION
 from test_other_processes import Team
 from test_safety import HANGING_CONTROLLER, SimulatedTime
@@ -46,6 +46,7 @@ from test_safety import HANGING_CONTROLLER, SimulatedTime
 from adp_path_follower.study.demo.processes import own_domain
 from live_nodes import Drive, Peer, is_zero
 
+PAGE = FilePath(__file__).resolve().parents[2] / "docs" / "safety.md"
 NAN, INFINITE = float("nan"), float("inf")
 ELSEWHERE = "from where it was"  # of odometry that has begun anew
 _DEACTIVATE = Transition.TRANSITION_DEACTIVATE
@@ -335,7 +336,7 @@ def final(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
 
 
 def main() -> None:
-    """Print the times, and write them if asked; or print the table of what was written."""
+    """Measure and print the times, or write the table of docs/safety.md."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=20, help="of each fault (default: 20)")
     parser.add_argument("--only", default="", help="part of the names of the faults to measure")
@@ -343,13 +344,13 @@ def main() -> None:
         "--group", choices=GROUPS, nargs="+", default=list(GROUPS), help="of faults to measure"
     )
     parser.add_argument("--json", type=FilePath, help="read and write the times [s] here")
-    parser.add_argument("--table", action="store_true", help="print what --json holds, and end")
+    parser.add_argument("--table", action="store_true", help="write the table of docs/safety.md")
     arguments = parser.parse_args()
     found: dict[str, list[float]] = {}
     if arguments.json and arguments.json.exists():
         found = json.loads(arguments.json.read_text(encoding="utf-8"))
     if arguments.table:
-        print(table(found))
+        write_table(found)
         return
     print(f"{'fault':<48}{'median':>10}{'worst':>10}   time to zero velocity [ms]")
     with own_domain() as domain, tempfile.TemporaryDirectory() as folder:
@@ -364,6 +365,16 @@ def main() -> None:
                     text = json.dumps(found, indent=2) + "\n"
                     arguments.json.write_text(text, encoding="utf-8")
     print(f"load: {os.getloadavg()}")
+
+
+def write_table(found: dict[str, list[float]]) -> None:
+    """Take new times [s] into fault_times.json, and write the table in docs/safety.md."""
+    times = json.loads(TIMES.read_text(encoding="utf-8"))
+    times |= {name: summary(values) for name, values in found.items()}
+    rows = [f"  {json.dumps(name)}: {json.dumps(pair)}" for name, pair in times.items()]
+    TIMES.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(with_table(page, times), encoding="utf-8")
 
 
 def _wanted(

@@ -76,7 +76,10 @@ def test_the_table_has_a_row_for_every_setting(tree):
     for row, field in zip(rows, fields, strict=True):
         assert row.startswith(f"| `{field.name}`<br>{field.spec.doc} |")
         assert f"`{yaml_text(field.default)}`" in row
-        assert row.count("|") == 8
+        assert row.count("|") == 4
+        assert f"{field.spec.symbol} = `" in row or not field.spec.symbol
+        assert f"` {field.spec.unit} |" in row or not field.spec.unit
+        assert row.endswith("fixed |") is bool(field.spec.read_only)
     for title in titles.values():
         assert f"### {title}\n" in table
 

@@ -202,16 +202,12 @@ def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:
         if field.group != group:
             group = field.group
             lines += ["", f"### {title_of_group[group]}", ""]
-            lines += [
-                "| name | symbol | type | default | unit | allowed | change while running |",
-                "|---|---|---|---|---|---|---|",
-            ]
+            lines += ["| name | default | allowed |", "|---|---|---|"]
         spec = field.spec
-        change = f"no: {spec.read_only}" if spec.read_only else "yes"
-        lines.append(
-            f"| `{field.name}`<br>{spec.doc} | {spec.symbol} | {field.type_name} | "
-            f"`{yaml_text(field.default)}` | {spec.unit} | {field.range_text} | {change} |"
-        )
+        symbol = f"{spec.symbol} = " if spec.symbol else ""
+        default = f"{symbol}`{yaml_text(field.default)}` {spec.unit}".strip()
+        allowed = "; ".join(filter(None, [field.range_text, "fixed" * bool(spec.read_only)]))
+        lines.append(f"| `{field.name}`<br>{spec.doc} | {default} | {allowed} |")
     return "\n".join(lines).strip() + "\n"
 
 
