@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
 from typing import Any
 
-_TESTS = FilePath(__file__).resolve().parents[2] / "test"
-sys.path[:0] = [str(_TESTS / "support"), str(_TESTS / "ros" / "controller")]
+sys.path.insert(0, str(FilePath(__file__).resolve().parents[2] / "test" / "support"))
+sys.path.insert(0, str(FilePath(__file__).resolve().parents[2] / "test" / "ros" / "controller"))
 
 # The tests' nodes, and a peer on their domain.
 from geometry_msgs.msg import TwistStamped

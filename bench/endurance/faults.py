@@ -38,8 +38,8 @@ from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
-from test_node import BROKEN_CONTROLLER
 from test_left_alone import DEFECTIVE_TRANSITION
+from test_node import BROKEN_CONTROLLER
 from test_other_processes import Team
 from test_safety import HANGING_CONTROLLER, SimulatedTime
 
