@@ -170,11 +170,11 @@ def policy_of(drive: Drive) -> Callable[[], object]:
     follower = drive.follower
     frame = follower.path.frame(follower.arc_length)
     error = np.array([0.05, -0.03, 0.1])
-    limits = drive.settings.limits
+    limits, v_des = drive.settings.limits, follower.profile.speed(follower.arc_length)
 
     def call() -> object:
-        here = follower._situation(frame, error)
-        return saturate(follower._wanted(here), here.feedforward, limits)
+        here = follower.law.situation(frame, error, follower.arc_length, v_des)
+        return saturate(follower.law.actor_input(here), here.feedforward, limits)
 
     return call
 

@@ -22,6 +22,9 @@ _TURNED = np.array([-1.0, 1.0])  # of v and w
 class Actuation:
     """Follows what is sent to one robot, or to a batch of robots; it outlives their followers.
 
+    A control step asks in this order: `advance` lets time pass, `predicted` gives the pose to
+    control from, `limited` the command that may follow, and `send` notes it.
+
     Attributes:
         command: The last command [v, w], shape (..., 2); zero after a stop.
         time: When it was sent [ns], None if that is not known.
@@ -32,6 +35,7 @@ class Actuation:
     def __init__(self) -> None:
         """Begin with a robot at rest."""
         self.time: int | None = None
+        self._elapsed = 0.0  # [s] from the last command to the next
         self.stop(forget=True)
 
     def stop(self, forget: bool = False) -> None:
@@ -50,18 +54,21 @@ class Actuation:
         self.command, self._rate = self.command * _TURNED, self._rate * _TURNED
         self._sent = deque((sent, command * _TURNED) for sent, command in self._sent)
 
-    def predicted(self, pose: FloatArray, delay: float, elapsed: float) -> FloatArray:
+    def advance(self, elapsed: float) -> None:
+        """Let time pass until the next command, `elapsed` [s] after the last one."""
+        self._elapsed = elapsed
+        self._clock += elapsed
+        while len(self._sent) > 1 and self._sent[1][0] <= self._clock - _LONGEST_DELAY:
+            self._sent.popleft()
+
+    def predicted(self, pose: FloatArray, delay: float) -> FloatArray:
         """Return where the commands under way lead a robot, shape (..., 3).
 
         Args:
             pose: Where it is now, shape (..., 3).
             delay: Time from a command to its effect [s].
-            elapsed: Time since the last command was sent [s].
 
         """
-        self._clock += elapsed
-        while len(self._sent) > 1 and self._sent[1][0] <= self._clock - _LONGEST_DELAY:
-            self._sent.popleft()
         if delay <= 0.0 or not self._sent:
             return pose
         # A command sent at t moves the robot from t + delay on: what was in force over the last
@@ -75,34 +82,31 @@ class Actuation:
         commands = [np.broadcast_to(self._sent[index][1], (*pose.shape[:-1], 2)) for index in due]
         return _driven(pose, np.array(commands), durations[due])
 
-    def limited(self, wanted: FloatArray, settings: Settings, elapsed: float) -> FloatArray:
+    def limited(self, wanted: FloatArray, settings: Settings) -> FloatArray:
         """Return the command that may follow the last one, shape (..., 2).
 
         Args:
             wanted: [v, w] within the limits of velocity, shape (..., 2).
             settings: Give the limits, and the period at a start.
-            elapsed: Time since the last command was sent [s].
 
         """
         if not settings.motion.limited:
             return wanted
-        period = self._period(settings, elapsed)
-        return limited_command(
-            wanted, self.command, self._rate, settings.limits, settings.motion, period
-        )
+        limits, motion, period = settings.limits, settings.motion, self._period(settings)
+        return limited_command(wanted, self.command, self._rate, limits, motion, period)
 
-    def send(self, command: FloatArray, settings: Settings, elapsed: float) -> None:
-        """Note a command [v, w], shape (..., 2), `elapsed` [s] after the last one."""
-        self._rate = (command - self.command) / self._period(settings, elapsed)
+    def send(self, command: FloatArray, settings: Settings) -> None:
+        """Note that a command [v, w], shape (..., 2), is sent now."""
+        self._rate = (command - self.command) / self._period(settings)
         self.command = command
         self.stopped = False
         self._sent.append((self._clock, command))
 
-    def _period(self, settings: Settings, elapsed: float) -> float:
+    def _period(self, settings: Settings) -> float:
         """Return the time over which a command may change [s]; after a stop, a usual period."""
-        if self.stopped or elapsed <= _LEAST_PERIOD:
+        if self.stopped or self._elapsed <= _LEAST_PERIOD:
             return 1.0 / settings.controller.controller_frequency
-        return min(elapsed, _MOST_PERIOD)
+        return min(self._elapsed, _MOST_PERIOD)
 
 
 def _driven(pose: FloatArray, commands: FloatArray, durations: FloatArray) -> FloatArray:

@@ -1,4 +1,19 @@
-"""From pose to command."""
+"""The control law, from the robot's error to its command, in the order of one control step.
+
+With the paper's symbols (docs/notation.md); the paper is arXiv:1310.0064, and equations are
+numbered as they are used here:
+
+    (1)  zeta = [s, y, theta, phi],  zeta' = f(zeta) + g(zeta) u,  [v_ss, w_ss] = v_des [1, kappa]
+    (2)  u = -1/2 R^-1 g^T sigma'^T Wa                              the actor's input
+    (3)  u within the limits less [v_ss, w_ss]                      the constrained minimiser
+    (4)  delta = e^T Q e + u^T R u + Wc^T omega,  omega = sigma' (f + g u)       Bellman error
+    (5)  doubt where delta or Wc^T sigma breaks its bound           `control.fallback`
+    (6)  u moves to the Riccati policy's by doubt, and far from the path to the far policy's
+    (7)  [v, w] = [v_ss, w_ss] + u within the limits of velocity and acceleration
+
+Weights that change along the path add (dWc/ds_p)^T sigma s_p' to (4). Every function broadcasts
+over the leading axes (...) of a batch of robots.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +22,56 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.core.basis import Expansion, Numbers
-from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learning.weights import LocalWeights
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.actuation import Actuation
+from adp_path_follower.core.control.cost import RunningCost
+from adp_path_follower.core.control.fallback import Distrust, RiccatiPolicy, is_doubtful
+from adp_path_follower.core.control.far_from_path import WideRegion
+from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.control.policy import descending_input, saturate, within
+from adp_path_follower.core.control.riccati import RiccatiSchedule
+from adp_path_follower.core.geometry import FloatArray, components, cos, numbers, sin
+from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
+from adp_path_follower.core.learning.learner import Evidence, Learner
+from adp_path_follower.core.learning.weights import LocalWeights, Weights
+from adp_path_follower.core.path.curve import PathFrame
+from adp_path_follower.core.settings.groups import Settings
 
 
 @dataclass(frozen=True)
-class _Situation:
-    """What the policy goes by where a robot is.
+class FollowerOutput(ControlOutput):
+    """The result of one control step of `PathFollower`.
+
+    Attributes:
+        running_cost: e^T Q e + u^T R u, shape (...).
+        weights: Critic and actor weights that gave the command, shape (..., L) each.
+        measured: Bellman error at the measured state.
+        sampled: Evidence of the samples on the weights.
+        doubt: Share of the Riccati policy, because the learned value function does not decrease
+            here as it must, shape (...).
+
+    """
+
+    running_cost: FloatArray
+    weights: Weights
+    measured: BellmanErrors
+    sampled: Evidence
+    doubt: FloatArray
+
+    @property
+    def bellman_error(self) -> FloatArray:
+        """Return delta at the measured state, shape (...)."""
+        return self.measured.error[..., 0]
+
+    @property
+    def excitation(self) -> FloatArray | float:
+        """Return the certificate of excitation, shape (...)."""
+        return self.sampled.excitation
+
+
+@dataclass(frozen=True)
+class Situation:
+    """The state of equation (1), and the value function there.
 
     Attributes:
         zeta: The state, shape (..., 4).
@@ -36,12 +94,12 @@ class _Situation:
 
 
 @dataclass(frozen=True)
-class _Unforced:
-    """How state and value change by themselves where a robot is.
+class Unforced:
+    """The rates of state and value at u = 0.
 
     Attributes:
         drift: f, four numbers of shape (...).
-        passing: How fast the value changes because the target moves on, shape (...).
+        passing: (dWc/ds_p)^T sigma s_p', because the target moves on, shape (...).
 
     """
 
@@ -49,7 +107,152 @@ class _Unforced:
     passing: FloatArray
 
 
-def _product(first: FloatArray, second: FloatArray) -> FloatArray:
+class CommandLaw:
+    """Turns the error to the virtual target into a command, by what the learner knows.
+
+    Attributes:
+        settings: All settings.
+
+    """
+
+    def __init__(
+        self, settings: Settings, riccati: RiccatiSchedule, learner: Learner, actuation: Actuation
+    ) -> None:
+        """Take the Riccati solution, the learner's weights and the robot's last commands."""
+        self.settings = settings
+        self._learner, self._actuation = learner, actuation
+        self._basis = settings.learning.value_basis
+        self._running_cost = RunningCost(settings.cost)
+        self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
+        far_policy = settings.policy.wide_region != "none"
+        self._wide_region = WideRegion(settings, riccati) if far_policy else None
+        safe_policy = settings.policy.fallback != "none"
+        self._fallback = RiccatiPolicy(settings, riccati) if safe_policy else None
+        self._distrust = Distrust()
+
+    def hold(self) -> None:
+        """Forget earlier doubt: the next step decides at once which policy drives."""
+        self._distrust.reset()
+
+    def step(
+        self,
+        frame: PathFrame,
+        error: FloatArray,
+        arc_length: FloatArray,
+        v_des: FloatArray | None,
+        dt: float,
+    ) -> FollowerOutput:
+        """Return command, cost and Bellman error of the present weights, equations (1) to (7).
+
+        Args:
+            frame: Frame of the path at the target.
+            error: e = [s, y, theta] in this frame, shape (..., 3).
+            arc_length: s_p of the target [m], shape (...).
+            v_des: Speed along the path there [m/s], shape (...).
+            dt: Time since the last step [s].
+
+        """
+        limits = self.settings.limits
+        here = self.situation(frame, error, arc_length, v_des)
+        learned = saturate(self.actor_input(here), here.feedforward, limits)
+        unforced = self._unforced(here)
+        running_cost, measured = self._bellman_error(here, unforced, learned)
+        doubt = self._doubt(here, running_cost, measured, dt)
+        applied = self._safe_input(here, learned, doubt)
+        # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.
+        wanted = within(applied + here.feedforward, limits)
+        command = self._actuation.limited(wanted, self.settings)
+        if command is not wanted and (command != wanted).any():
+            applied = command - here.feedforward
+        if applied is not learned:
+            running_cost, measured = self._bellman_error(here, unforced, applied)
+        return FollowerOutput(
+            command=command,
+            modified_input=applied,
+            error=error,
+            target_pose=frame.pose,
+            arc_length=arc_length,
+            curvature=frame.curvature,
+            running_cost=running_cost,
+            weights=here.local.weights,
+            measured=measured,
+            sampled=self._learner.sampled,
+            doubt=doubt,
+        )
+
+    def situation(
+        self, frame: PathFrame, error: FloatArray, arc_length: FloatArray, v_des: FloatArray | None
+    ) -> Situation:
+        """Return zeta, the feedforward and the value function where the robot is, equation (1)."""
+        target, curvature = self.settings.target, frame.curvature[()]
+        phi = error_dynamics.path_state(arc_length[()], target)
+        s, y, theta = numbers(error)
+        zeta = components(s, y, theta, phi)
+        return Situation(
+            zeta=zeta,
+            curvature=curvature,
+            v_des=v_des,
+            feedforward=error_dynamics.feedforward(curvature, target, v_des),
+            heading=(cos(theta), sin(theta)),
+            expansion=self._basis.expansion(zeta),
+            local=self._learner.local(arc_length),
+        )
+
+    def actor_input(self, here: Situation) -> FloatArray:
+        """Return u = -1/2 R^-1 g^T sigma'^T Wa without limits, shape (..., 2), equation (2)."""
+        by_s, by_y, by_theta, _ = here.expansion.slope(here.local.weights.actor)
+        cos_theta, sin_theta = here.heading
+        descent = components(cos_theta * by_s + sin_theta * by_y, by_theta)  # g^T sigma'^T Wa
+        return descending_input(descent, self._inverse_cost)
+
+    def _unforced(self, here: Situation) -> Unforced:
+        """Return f of equation (1), and how the value changes because the target moves on."""
+        target, slope = self.settings.target, here.local.slope
+        passing = np.zeros(())[()]
+        if slope is not None:
+            speed = error_dynamics.target_speed(here.zeta, target, here.v_des)
+            passing = speed * _inner(slope, here.expansion.value)
+        drift = error_dynamics.drift(here.zeta, here.curvature, target, here.v_des)
+        return Unforced(numbers(drift), passing)
+
+    def _bellman_error(
+        self, here: Situation, unforced: Unforced, u: FloatArray
+    ) -> tuple[FloatArray, BellmanErrors]:
+        """Return the running cost, and delta of an input (..., 2), equation (4)."""
+        running_cost = self._running_cost(here.zeta[..., :3], u)
+        (s_rate, y_rate, turn, phi_rate), (cos_theta, sin_theta) = unforced.drift, here.heading
+        v, w = numbers(u)
+        omega = here.expansion.rate(
+            (s_rate + cos_theta * v, y_rate + sin_theta * v, turn + w, phi_rate)  # f + g u
+        )
+        cost_rate = (running_cost + unforced.passing)[..., None]
+        errors = bellman_errors(here.local.weights.critic, omega[..., None, :], cost_rate)
+        return running_cost, errors
+
+    def _doubt(
+        self, here: Situation, running_cost: FloatArray, measured: BellmanErrors, dt: float
+    ) -> FloatArray:
+        """Return the share of the Riccati policy from 0 to 1, shape (...), equation (5)."""
+        if self._fallback is None:
+            return np.zeros_like(running_cost)
+        value = _inner(here.local.weights.critic, here.expansion.value)
+        safe_value = self._fallback.value(here.zeta, here.curvature, here.v_des)
+        doubtful = is_doubtful(measured.error[..., 0], running_cost, value, safe_value)
+        return self._distrust.share(doubtful, dt)
+
+    def _safe_input(self, here: Situation, learned: FloatArray, doubt: FloatArray) -> FloatArray:
+        """Return the input after fallback and far policy, shape (..., 2), equation (6)."""
+        place = (here.zeta, here.curvature, here.feedforward)
+        applied = learned
+        if self._fallback is not None and doubt.any():
+            safe = self._fallback.modified_input(*place)
+            applied = applied + doubt[..., None] * (safe - applied)
+        if self._wide_region is not None:
+            applied = self._wide_region.blend(applied, *place)
+        return applied
+
+
+def _inner(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the inner products of vectors (..., L), shape (...)."""
     if first.ndim == second.ndim == 1:
         return np.asarray(first @ second)[()]

@@ -10,7 +10,8 @@ import numpy as np
 
 from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.driving.arrival import Standstill
-from adp_path_follower.core.driving.follower import FollowerOutput, PathFollower
+from adp_path_follower.core.driving.command_law import FollowerOutput
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.driving.reversing import reversed_output, reversed_settings
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray, tracking_error

@@ -2,66 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.actuation import Actuation
-from adp_path_follower.core.control.cost import RunningCost
-from adp_path_follower.core.control.fallback import Distrust, RiccatiPolicy, is_doubtful
-from adp_path_follower.core.control.far_from_path import WideRegion
-from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.control.policy import descending_input, saturate, within
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.driving.arrival import Goal
-from adp_path_follower.core.driving.command_law import _product, _Situation, _Unforced
-from adp_path_follower.core.geometry import FloatArray, components, cos, numbers, sin
+from adp_path_follower.core.driving.command_law import CommandLaw, FollowerOutput
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.batch_learner import FleetLearner
-from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
-from adp_path_follower.core.learning.learner import Evidence, Learner
+from adp_path_follower.core.learning.bellman import BellmanErrors
+from adp_path_follower.core.learning.learner import Learner
 from adp_path_follower.core.learning.paper_learner import PathStateLearner
 from adp_path_follower.core.learning.path_learner import ArcLengthLearner
 from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.learning.weights_file import SavedWeights, difference, problem_settings
-from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import SpeedProfile, SpeedReference
 from adp_path_follower.core.settings.groups import Settings
 
 _MOST_DOUBT = 0.5  # above it, it is the Riccati policy that drives
-
-
-@dataclass(frozen=True)
-class FollowerOutput(ControlOutput):
-    """What one control step of `PathFollower` gives.
-
-    Attributes:
-        running_cost: e^T Q e + u^T R u, shape (...).
-        weights: Critic and actor weights that gave the command, shape (..., L) each.
-        measured: Bellman error at the measured state.
-        sampled: What the samples say of the weights.
-        doubt: Share of the Riccati policy, because the learned value function does not decrease
-            here as it must, shape (...).
-
-    """
-
-    running_cost: FloatArray
-    weights: Weights
-    measured: BellmanErrors
-    sampled: Evidence
-    doubt: FloatArray
-
-    @property
-    def bellman_error(self) -> FloatArray:
-        """Return delta at the measured state, shape (...)."""
-        return self.measured.error[..., 0]
-
-    @property
-    def excitation(self) -> FloatArray | float:
-        """Return the certificate of excitation, shape (...)."""
-        return self.sampled.excitation
 
 
 class PathFollower:
@@ -71,10 +32,10 @@ class PathFollower:
     the arc length are the batch.
 
     Attributes:
-        settings: What it was made with.
         path: The path that it follows.
         profile: The speed along it.
         goal: Whether its end is reached.
+        law: Turns an error into a command.
         cost: J so far, by the trapezoidal rule over the control steps, shape (...).
 
     """
@@ -98,7 +59,6 @@ class PathFollower:
             actuation: What the robot has been told lately; by default it is at rest.
 
         """
-        self.settings = settings
         self.path = path
         self.profile = SpeedProfile(path, settings)
         self.goal = Goal(path, settings.motion, self.profile.stops)
@@ -114,17 +74,19 @@ class PathFollower:
             self._learner = ArcLengthLearner(settings, path, riccati, self.profile)
         else:
             self._learner = PathStateLearner(settings, path, riccati, weights, self.profile)
-        far_policy = settings.policy.wide_region != "none"
-        self._wide_region = WideRegion(settings, riccati) if far_policy else None
-        safe_policy = settings.policy.fallback != "none"
-        self._fallback = RiccatiPolicy(settings, riccati) if safe_policy else None
-        self._distrust = Distrust()
-        self._basis = settings.learning.value_basis
-        self._running_cost = RunningCost(settings.cost)
-        self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
+        self.law = CommandLaw(settings, riccati, self._learner, self._actuation)
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
         self._period = 0.0  # [s] of the last step
+
+    @property
+    def settings(self) -> Settings:
+        """Return all settings; those in their place must not change motion or learning."""
+        return self.law.settings
+
+    @settings.setter
+    def settings(self, settings: Settings) -> None:
+        self.law.settings = settings
 
     @property
     def arc_length(self) -> FloatArray:
@@ -158,14 +120,15 @@ class PathFollower:
 
         """
         elapsed = max(dt, 0.0)  # since the last command, which another follower may have given
-        pose = self._actuation.predicted(pose, self.settings.motion.actuation_delay, elapsed)
+        self._actuation.advance(elapsed)
+        pose = self._actuation.predicted(pose, self.settings.motion.actuation_delay)
         if self._previous is None or dt < 0.0:
             dt = 0.0
         if self._previous is None or self._actuation.stopped:
             self._reference.launch(self.arc_length, self._actuation.command[..., 0])
         frame, error = self._target.move(pose, dt)
-        output = self._evaluate(frame, error, dt, elapsed)
-        self._actuation.send(output.command, self.settings, elapsed)
+        output = self.law.step(frame, error, self.arc_length, self._target.v_des, dt)
+        self._actuation.send(output.command, self.settings)
         self.goal.look(pose, output, dt)
         if self._previous is not None:
             mean_rate = 0.5 * (self._previous.running_cost + output.running_cost)
@@ -205,120 +168,18 @@ class PathFollower:
         self.hold()
         frame, error = self._target.move(pose, 0.0)
         self._target.hold()
-        return self._learner.settle(
-            lambda: self._evaluate(frame, error, 0.0, 0.0).measured, self.arc_length, distance
-        )
 
-    def _evaluate(
-        self, frame: PathFrame, error: FloatArray, dt: float, elapsed: float
-    ) -> FollowerOutput:
-        """Return command, cost and Bellman errors of the present weights.
+        def measure() -> BellmanErrors:
+            v_des = self._target.v_des
+            return self.law.step(frame, error, self.arc_length, v_des, 0.0).measured
 
-        Args:
-            frame: At the target.
-            error: To it, shape (..., 3).
-            dt: Time since the last step [s].
-            elapsed: Time since the last command [s].
-
-        """
-        here = self._situation(frame, error)
-        wanted = self._wanted(here)
-        learned = applied = saturate(wanted, here.feedforward, self.settings.limits)
-        unforced = self._unforced(here)
-        running_cost, measured = self._measure(here, unforced, learned)
-        doubt = self._doubt(here, running_cost, measured, dt)
-        if self._fallback is not None and doubt.any():
-            safe = self._fallback.modified_input(here.zeta, here.curvature, here.feedforward)
-            applied = applied + doubt[..., None] * (safe - applied)
-        if self._wide_region is not None:
-            applied = self._wide_region.blend(applied, here.zeta, here.curvature, here.feedforward)
-        # Once more, for blending and adding have rounded: -6e-17 is driving backwards.
-        wanted = within(applied + here.feedforward, self.settings.limits)
-        command = self._actuation.limited(wanted, self.settings, elapsed)
-        if command is not wanted and (command != wanted).any():
-            applied = command - here.feedforward
-        if applied is not learned:
-            running_cost, measured = self._measure(here, unforced, applied)
-        return FollowerOutput(
-            command=command,
-            modified_input=applied,
-            error=error,
-            target_pose=frame.pose,
-            arc_length=self.arc_length,
-            curvature=frame.curvature,
-            running_cost=running_cost,
-            weights=here.local.weights,
-            measured=measured,
-            sampled=self._learner.sampled,
-            doubt=doubt,
-        )
-
-    def _situation(self, frame: PathFrame, error: FloatArray) -> _Situation:
-        """Return what the policy goes by at an error from a frame of the path."""
-        target, curvature, v_des = self.settings.target, frame.curvature[()], self._target.v_des
-        phi = error_dynamics.path_state(self.arc_length[()], target)
-        s, y, theta = numbers(error)
-        zeta = components(s, y, theta, phi)
-        return _Situation(
-            zeta=zeta,
-            curvature=curvature,
-            v_des=v_des,
-            feedforward=error_dynamics.feedforward(curvature, target, v_des),
-            heading=(cos(theta), sin(theta)),
-            expansion=self._basis.expansion(zeta),
-            local=self._learner.local(self.arc_length),
-        )
-
-    def _wanted(self, here: _Situation) -> FloatArray:
-        """Return the actor's input, without limits, shape (..., 2)."""
-        by_s, by_y, by_theta, _ = here.expansion.slope(here.local.weights.actor)
-        ahead, aside = here.heading
-        descent = components(ahead * by_s + aside * by_y, by_theta)  # g^T sigma'^T Wa
-        return descending_input(descent, self._inverse_cost)
-
-    def _unforced(self, here: _Situation) -> _Unforced:
-        """Return how state and value change by themselves."""
-        target, slope = self.settings.target, here.local.slope
-        passing = np.zeros(())[()]
-        if slope is not None:  # the value function changes along the path by itself
-            speed = error_dynamics.target_speed(here.zeta, target, here.v_des)
-            passing = speed * _product(slope, here.expansion.value)
-        drift = error_dynamics.drift(here.zeta, here.curvature, target, here.v_des)
-        return _Unforced(numbers(drift), passing)
-
-    def _measure(
-        self, here: _Situation, unforced: _Unforced, applied: FloatArray
-    ) -> tuple[FloatArray, BellmanErrors]:
-        """Return the running cost and the Bellman error of an input (..., 2)."""
-        running_cost = self._running_cost(here.zeta[..., :3], applied)
-        (s_rate, y_rate, turn, phi_rate), (ahead, aside) = unforced.drift, here.heading
-        v, w = numbers(applied)
-        regressor = here.expansion.rate(
-            (s_rate + ahead * v, y_rate + aside * v, turn + w, phi_rate)  # f + g u
-        )
-        errors = bellman_errors(
-            here.local.weights.critic,
-            regressor[..., None, :],
-            (running_cost + unforced.passing)[..., None],
-        )
-        return running_cost, errors
-
-    def _doubt(
-        self, here: _Situation, running_cost: FloatArray, measured: BellmanErrors, dt: float
-    ) -> FloatArray:
-        """Return the share of the Riccati policy, from 0 to 1, shape (...)."""
-        if self._fallback is None:
-            return np.zeros_like(running_cost)
-        value = _product(here.local.weights.critic, here.expansion.value)
-        safe_value = self._fallback.value(here.zeta, here.curvature, here.v_des)
-        doubtful = is_doubtful(measured.error[..., 0], running_cost, value, safe_value)
-        return self._distrust.share(doubtful, dt)
+        return self._learner.settle(measure, self.arc_length, distance)
 
     def hold(self) -> None:
         """Let no time pass until the next step: the robot was stopped, or not observed."""
         self._previous = None
         self._target.hold()
-        self._distrust.reset()
+        self.law.hold()
         self._actuation.stop(forget=True)
 
     def reset_learning(self, where: np.ndarray | None = None) -> None:

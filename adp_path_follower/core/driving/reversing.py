@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from adp_path_follower.core.driving.follower import FollowerOutput
+from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import update
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.core.driving.follower import FollowerOutput
+from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.replay.recorded_driver import RecordedDriver, recorded_settings

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.writer import BagWriter
-from adp_path_follower.core.driving.follower import FollowerOutput
+from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.study.replay.replay import Replay
 

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from adp_path_follower.core.control.cost import MotionCost
 from adp_path_follower.core.control.interface import Controller, ControlOutput
-from adp_path_follower.core.driving.follower import FollowerOutput, PathFollower
+from adp_path_follower.core.driving.command_law import FollowerOutput
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame
 from adp_path_follower.core.learning.weights import Weights

@@ -41,11 +41,13 @@ def test_the_prediction_is_the_motion_of_the_commands_under_way(sent, delay):
     pose = np.array([0.3, -0.2, 1.0])
     now, commands = 0.0, []
     for period, v, w in sent:
-        assert actuation.predicted(pose, 0.0, period) is pose
+        actuation.advance(period)
+        assert actuation.predicted(pose, 0.0) is pose
         now += period
-        actuation.send(np.array([v, w]), DEFAULT, period)
+        actuation.send(np.array([v, w]), DEFAULT)
         commands.append((now, v, w))
-    found = actuation.predicted(pose, delay, 0.05)
+    actuation.advance(0.05)
+    found = actuation.predicted(pose, delay)
     now += 0.05
     # What was sent at t moves the robot from t + delay on, until the next command does.
     changes = sorted({now - delay, now, *(time for time, _, _ in commands if time > now - delay)})
@@ -54,6 +56,7 @@ def test_the_prediction_is_the_motion_of_the_commands_under_way(sent, delay):
         held = [(v, w) for time, v, w in commands if time <= begin]
         expected = advance_pose(expected, *(held[-1] if held else (0.0, 0.0)), end - begin)
     np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert actuation.predicted(pose, delay).tolist() == found.tolist()  # asking moves no clock
 
 
 def test_a_batch_is_predicted_robot_by_robot():
@@ -63,11 +66,13 @@ def test_a_batch_is_predicted_robot_by_robot():
     for _ in range(6):
         command = random.normal(size=(4, 2))
         for index, single in enumerate((together, *singles)):
-            single.predicted(pose[0], 0.0, 0.1)
-            single.send(command if not index else command[index - 1], DEFAULT, 0.1)
-    found = together.predicted(pose, 0.25, 0.1)
+            single.advance(0.1)
+            single.send(command if not index else command[index - 1], DEFAULT)
+    together.advance(0.1)
+    found = together.predicted(pose, 0.25)
     for index, single in enumerate(singles):
-        alone = single.predicted(pose[index], 0.25, 0.1)
+        single.advance(0.1)
+        alone = single.predicted(pose[index], 0.25)
         np.testing.assert_allclose(found[index], alone, rtol=1e-14)
 
 
