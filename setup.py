@@ -9,6 +9,8 @@ from setuptools import find_packages, setup
 NAME = "adp_path_follower"
 VERSION = re.search(r'__version__ = "(.+)"', FilePath(NAME, "__init__.py").read_text()).group(1)
 
+README = FilePath("README.md")  # colcon build --symlink-install does not link it
+
 JAZZY_WHEELS = [
     "ros-jazzy-rclpy",
     "ros-jazzy-rmw-fastrtps-cpp",
@@ -23,7 +25,7 @@ setup(
     name=NAME,
     version=VERSION,
     description="Path following for unicycle robots by online approximate optimal control",
-    long_description=FilePath("README.md").read_text(encoding="utf-8"),
+    long_description=README.read_text(encoding="utf-8") if README.is_file() else "",
     long_description_content_type="text/markdown",
     license="Apache-2.0",
     maintainer="adp_path_follower maintainers",

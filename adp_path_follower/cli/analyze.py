@@ -13,6 +13,7 @@ import click
 
 from adp_path_follower.cli.options import FILE, given_topics, progress_bar, topic_options
 from adp_path_follower.cli.outputs import output_directory, write_json
+from adp_path_follower.extras import require
 
 if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to report
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
@@ -59,6 +60,7 @@ def analyze(
     Writes report.html (one file, opens without network), metrics.json, figures/ and
     trajectory.tum, which the tool evo reads. Exit code 1 if a requirement is not met.
     """
+    require("adp analyze", "report")
     from adp_path_follower.analysis.bag_analysis import analyse_bag, names_of
     from adp_path_follower.analysis.bag_page import write_report
     from adp_path_follower.analysis.bag_pngs import draw_bags

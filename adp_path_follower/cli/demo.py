@@ -20,11 +20,11 @@ from adp_path_follower.cli.options import (
     simulator_options,
 )
 from adp_path_follower.cli.outputs import new_directory, write_json
-from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.extras import require
 from adp_path_follower.study.simulation.simulate import PAPER_START
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.settings import SimulatorSettings
@@ -76,23 +76,13 @@ def demo(
     simulator = load_simulator(sim_params, sim_assignments)
     read_fault_script(simulator.simulation.fault_script)
     path = named_path(path_name)
-    _require_ros()
+    require("adp demo", "jazzy")
     directory = new_directory(
         directory or FilePath(datetime.now().strftime("adp_demo_%Y_%m_%d-%H_%M_%S"))
     )
     started = time.monotonic()
     bag = _run(settings, simulator, path, path_name, duration, directory)
     _report(bag, directory, duration, time.monotonic() - started)
-
-
-def _require_ros() -> None:
-    try:
-        import rclpy  # noqa: F401  # only whether it is there
-    except ImportError:
-        raise AdpError(
-            "ROS 2 is missing: source a Jazzy installation, or install its wheels with: "
-            "pip install 'adp_path_follower[jazzy]'"
-        ) from None
 
 
 def _run(

@@ -26,6 +26,7 @@ from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parse_assignment
+from adp_path_follower.extras import require
 from adp_path_follower.study.replay.closed_loop import rerun
 from adp_path_follower.study.replay.replay import Replay
 from adp_path_follower.study.replay.replay import replay as replay_run
@@ -161,13 +162,9 @@ def _wanted(
 
 
 def _republish(bag: FilePath, run: Run, rate: float) -> None:
-    try:
-        from adp_path_follower.study.replay.republish import republish
-    except ImportError:
-        raise AdpError(
-            "ROS 2 is missing: source a Jazzy installation, or install its wheels with: "
-            "pip install 'adp_path_follower[jazzy]'"
-        ) from None
+    require("adp replay --republish", "jazzy")
+    from adp_path_follower.study.replay.republish import republish
+
     for key in ("odom", "path"):
         if key not in run.topics:
             raise AdpError(f"bag {bag} has no topic named '{key}': name one by --{key}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adp_path_follower.cli.options import FILE, cluster_options, progress_bar
-from adp_path_follower.extras import require_extra
+from adp_path_follower.extras import require
 
 if TYPE_CHECKING:  # Dask and pyarrow are wanted when there is something to run
     from adp_path_follower.study.sweeps.request.sweep_file import Sweep
@@ -45,7 +45,7 @@ def sweep(
     interrupted sweep goes on where it was when the same command is given again. At the end,
     report.html (heat maps and the Pareto front) and best.yaml (the best settings).
     """
-    require_extra("adp sweep")
+    require("adp sweep", "sweep")
     from adp_path_follower.study.sweeps.request.sweep_file import read_sweep
     from adp_path_follower.study.sweeps.workers.plan import check_first_runs
 

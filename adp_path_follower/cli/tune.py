@@ -11,7 +11,7 @@ import click
 
 from adp_path_follower.cli.options import FILE, cluster_options, progress_bar, settings_options
 from adp_path_follower.cli.outputs import write_json
-from adp_path_follower.extras import require_extra
+from adp_path_follower.extras import require
 
 if TYPE_CHECKING:  # Dask and Optuna are wanted when there is something to run
     from adp_path_follower.study.sweeps.findings import Findings
@@ -76,7 +76,7 @@ def tune(
     in any run, are never proposed. Prints what was found and which settings matter, and writes
     best.yaml, which the node loads. An interrupted search goes on with the same command.
     """
-    require_extra("adp tune")
+    require("adp tune", "sweep")
     from adp_path_follower.study.sweeps.request.tune_file import (
         read_tuning,
         tuning_of_options,

@@ -7,19 +7,8 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from adp_path_follower import __version__
-from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import write_output
-
-try:
-    import jinja2
-    from jinja2.utils import htmlsafe_json_dumps
-    from markupsafe import Markup
-    from plotly.io.json import to_json_plotly
-    from plotly.offline import get_plotlyjs
-except ImportError:
-    raise AdpError(
-        "the report needs Plotly and Jinja2: pip install 'adp_path_follower[report]'"
-    ) from None
+from adp_path_follower.extras import require
 
 
 def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) -> None:
@@ -33,8 +22,16 @@ def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) 
 
     Raises:
         FileError: It cannot be written.
+        AdpError: Plotly or Jinja2 is missing.
 
     """
+    require("the page", "report")
+    import jinja2
+    from jinja2.utils import htmlsafe_json_dumps
+    from markupsafe import Markup
+    from plotly.io.json import to_json_plotly
+    from plotly.offline import get_plotlyjs
+
     folder = FilePath(__file__).parent / "templates"
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder),

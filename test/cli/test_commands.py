@@ -289,6 +289,7 @@ def test_a_node_without_ros_says_what_is_missing(node):
     assert done.returncode == 1
     assert done.stdout == ""
     assert re.fullmatch(
-        r"Python module 'rclpy[.a-z]*' is missing: source a ROS 2 Jazzy installation, or .*\n",
+        rf"the node {node} needs (ROS 2|rclpy[.a-z]+): source a ROS 2 Jazzy installation, or "
+        r"pip install 'adp_path_follower\[jazzy\]'\n",
         done.stderr,
     )

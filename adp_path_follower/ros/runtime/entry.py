@@ -12,6 +12,7 @@ import signal
 import sys
 from types import FrameType
 
+from adp_path_follower.extras import missing_text
 from adp_path_follower.ros.runtime.stop_request import ending_signals
 from adp_path_follower.threads import use_one_blas_thread
 
@@ -27,10 +28,8 @@ def _main(module: str) -> None:
     try:
         code = importlib.import_module(module).main()
     except ModuleNotFoundError as error:
-        sys.exit(
-            f"Python module '{error.name}' is missing: source a ROS 2 Jazzy installation, or "
-            "install its wheels with: pip install 'adp_path_follower[jazzy]'"
-        )
+        name = module.removesuffix(".process").removesuffix(".node").rpartition(".")[2]
+        sys.exit(missing_text(f"the node {name}", "jazzy", str(error.name)))
     sys.exit(code)
 
 

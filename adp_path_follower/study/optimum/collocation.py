@@ -13,14 +13,13 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import casadi
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator, KroghInterpolator
 
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.study.optimum.problem import Motion, OptimumError, Problem
+from adp_path_follower.study.optimum.problem import Motion, OptimumError, Problem, casadi
 
 HORIZON = 30.0  # [s]
 SETTLED = 1e-4  # relative change of J* with the horizon, below which it is that of any horizon

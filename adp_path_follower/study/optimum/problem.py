@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import casadi
 import numpy as np
 
 from adp_path_follower.core.control import error_dynamics
@@ -16,6 +15,9 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.extras import Library
+
+casadi = Library("casadi", "the offline optimum", "optimum")
 
 _MARGIN = 10.0  # [m] of path behind and ahead of what the desired speed covers
 _SPACING = 0.005  # [m] of the curvature's knots: at 2 cm J* was 1e-4 wrong round a corner

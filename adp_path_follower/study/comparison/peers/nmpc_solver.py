@@ -19,13 +19,9 @@ import numpy as np
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import CostSettings, LimitSettings, TargetSettings
+from adp_path_follower.extras import Library
 
-try:
-    import casadi
-except ImportError:
-    raise AdpError(
-        "the peer 'nmpc' needs CasADi: pip install 'adp_path_follower[optimum]'"
-    ) from None
+casadi = Library("casadi", "the peer 'nmpc'", "optimum")
 
 STEPS = 30
 STEP = 0.1  # [s]
