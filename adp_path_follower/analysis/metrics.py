@@ -21,6 +21,7 @@ from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.nearest import best_place
 from adp_path_follower.core.safety.supervisor import State
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.optimum.reference import (
@@ -255,7 +256,8 @@ def _virtual_target(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the virtual target's arc length at each step, shape (N,), and the first error (3,)."""
     at_beginning = settings.controller.path_start == "beginning"
-    target = VirtualTarget(path, settings.target, 0.0 if at_beginning else path.nearest(poses[0]))
+    start = 0.0 if at_beginning else best_place(path, poses[0])[0]
+    target = VirtualTarget(path, settings.target, start)
     arc_lengths, first = np.zeros(len(time)), np.zeros(3)
     for step, period in enumerate(np.diff(time, prepend=0.0).tolist()):
         _, error = target.move(poses[step], period)

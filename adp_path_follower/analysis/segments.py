@@ -19,7 +19,7 @@ def segments_driven(route: Route, poses: FloatArray, speed: FloatArray) -> np.nd
 
     Segments are driven in their order, so the numbers never fall; of all such numbers these are
     nearest to the poses, by squared distances summed up over the way that was driven. The direction
-    of motion counts as the heading does in `Path.nearest`, for there and back may be the same way.
+    of motion counts as the heading does in `best_place`, for there and back may be the same way.
 
     Args:
         route: The route.
@@ -41,7 +41,7 @@ def _tree(path: Path) -> cKDTree:
 
 
 def _features(poses: FloatArray) -> FloatArray:
-    """Return x, y, cos and sin of the heading, so weighted that distances are `Path.nearest`'s."""
+    """Return x, y, cos and sin of the heading, so weighted that distances are `best_place`'s."""
     share = math.sqrt(0.5)
     heading = poses[:, 2]
     return np.column_stack([poses[:, :2], share * np.cos(heading), share * np.sin(heading)])

@@ -22,6 +22,7 @@ from adp_path_follower.cli.options import (
 from adp_path_follower.cli.outputs import new_directory, write_json
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.path.nearest import best_place
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.extras import require
@@ -117,7 +118,7 @@ def _run(
             if progress is None:
                 bar.render_progress()
                 return
-            lap = path.nearest(progress.target_pose) / path.length
+            lap = float(best_place(path, progress.target_pose)[0]) / path.length
             distance = np.linalg.norm(progress.error[:2])
             text[""] = (
                 f"{progress.time:5.1f} s of {duration:g} s, {100.0 * lap:3.0f} % of the "

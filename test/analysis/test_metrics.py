@@ -16,7 +16,7 @@ from adp_path_follower.analysis.events import MOST_EVENTS
 from adp_path_follower.analysis.metrics import METRICS, settling
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous
-from adp_path_follower.core.path.projection import project
+from adp_path_follower.core.path.nearest import project
 from adp_path_follower.drawing.decimation import extremes
 from bag_messages import (
     LINE,

@@ -61,6 +61,28 @@ class PathFrame:
     curvature: FloatArray
 
 
+@dataclass(frozen=True)
+class PathSamples:
+    """Places along a path, shape (M,) each.
+
+    Attributes:
+        arc_length: s_p [m].
+        x: Position [m].
+        y: Position [m].
+        cos: Of the heading.
+        sin: Of the heading.
+        curvature: kappa [1/m].
+
+    """
+
+    arc_length: FloatArray
+    x: FloatArray
+    y: FloatArray
+    cos: FloatArray
+    sin: FloatArray
+    curvature: FloatArray
+
+
 class Path:
     """A planar path as pieces of fifth degree in arc length.
 
@@ -220,43 +242,24 @@ class Path:
             poses[-1] = poses[0]
         return poses
 
-    def nearest(self, pose: FloatArray) -> float:
-        """Return the arc length [m] of the place that suits a pose (3,) best.
-
-        That is the nearest one, where a heading error of 90 degrees counts like a metre: at a
-        crossing of the path with itself, and between two lanes, the heading decides.
-        """
-        return self.nearest_and_score(pose)[0]
-
-    def nearest_and_score(self, pose: FloatArray) -> tuple[float, float]:
-        """Return the arc length [m] of `nearest`, and how badly it suits [m²], 0 at best."""
-        arc_length, x, y, cos, sin, _ = self._places
-        dx, dy = x - pose[0], y - pose[1]
-        score = dx * dx + dy * dy + 1.0 - (cos * math.cos(pose[2]) + sin * math.sin(pose[2]))
-        best = int(np.argmin(score))
-        return float(arc_length[best]), float(score[best])
-
     def make_ready(self) -> None:
         """Compute beforehand what the first control step on the path asks for."""
         self.digest()
-        _ = self.curvature_range, self._places
+        _ = self.curvature_range, self.samples
 
     @functools.cached_property
-    def _places(self) -> tuple[FloatArray, ...]:
-        """Arc length, x, y, cos and sin of the heading and curvature along the path, each (M,)."""
+    def samples(self) -> PathSamples:
+        """Return equidistant places from start to end, at most 2 cm apart.
+
+        At most 100,001, so they are further apart on a path of more than 2 km.
+        """
         pieces = min(max(2, math.ceil(self.length / _SPACING)), _MOST_PLACES)
         arc_length = np.linspace(0.0, self.length, pieces + 1)
         frame = self.frame(arc_length)
         x, y, heading = frame.pose.T
-        return arc_length, x.copy(), y.copy(), np.cos(heading), np.sin(heading), frame.curvature
-
-    @property
-    def sampled_curvature(self) -> FloatArray:
-        """Return the curvature [1/m] at equidistant places from start to end, at most 2 cm apart.
-
-        Shape (M,), at most 100,001; further apart on a path of more than 2 km.
-        """
-        return self._places[-1]
+        return PathSamples(
+            arc_length, x.copy(), y.copy(), np.cos(heading), np.sin(heading), frame.curvature
+        )
 
     def digest(self) -> str:
         """Return a hash of the path's coefficients: equal digests are equal paths."""

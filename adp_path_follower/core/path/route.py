@@ -9,6 +9,7 @@ import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.nearest import best_place
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,10 @@ class Route:
     def nearest(self, pose: FloatArray) -> tuple[int, float]:
         """Return the segment and the arc length [m] on it that suit a robot's pose (3,) best."""
         found = [
-            segment.path.nearest_and_score(segment.heading_of_path(pose))
-            for segment in self.segments
+            best_place(segment.path, segment.heading_of_path(pose)) for segment in self.segments
         ]
-        best = min(range(len(found)), key=lambda index: found[index][1])
-        return best, found[best][0]
+        best = min(range(len(found)), key=lambda index: float(found[index][1]))
+        return best, float(found[best][0])
 
     def make_ready(self) -> None:
         """Compute beforehand what the first control step on each segment asks for."""

@@ -48,7 +48,7 @@ class SpeedProfile:
         self.slowest = min(_SLOWEST, _SLOWEST_SHARE * self.highest)
         self.stops = not path.closed and math.isfinite(motion.max_linear_decel)
         self._length, self._closed = path.length, path.closed
-        curvature = path.sampled_curvature
+        curvature = path.samples.curvature
         pieces = len(curvature) - 1
         self._step = path.length / pieces
         squared = self._pointwise(curvature, settings)

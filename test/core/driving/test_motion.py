@@ -15,6 +15,7 @@ from adp_path_follower.core.geometry import advance_pose
 from adp_path_follower.core.learning.knot_model import KnotModel
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import circle, lissajous
+from adp_path_follower.core.path.nearest import best_place
 from adp_path_follower.core.path.preparation import prepare
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
@@ -53,7 +54,8 @@ def distance_to_the_sharp_square(positions):
 
 def drive(path, pose, seconds, values):
     """Return follower, poses (N, 3), commands (N, 2) and outputs of an ideal robot at 100 Hz."""
-    follower = PathFollower(build(Settings, values), path, path.nearest(np.asarray(pose)))
+    place, _ = best_place(path, np.asarray(pose))
+    follower = PathFollower(build(Settings, values), path, place)
     pose, poses, outputs = np.asarray(pose, float), [], []
     for _ in range(round(seconds * 100)):
         outputs.append(follower.step(pose, 0.01))

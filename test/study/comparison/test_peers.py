@@ -18,6 +18,7 @@ from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.cost import RunningCost
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame, tracking_error
 from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.path.nearest import place_near
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build
@@ -26,7 +27,6 @@ from adp_path_follower.study.comparison.controllers import PEERS
 from adp_path_follower.study.comparison.peers import lapierre_soetanto, pure_pursuit, stanley
 from adp_path_follower.study.comparison.peers.lapierre_soetanto import LapierreSoetanto
 from adp_path_follower.study.comparison.peers.lqr import Lqr
-from adp_path_follower.study.comparison.peers.nearest import NearestPlace
 from adp_path_follower.study.comparison.peers.pure_pursuit import PurePursuit, RegulatedPurePursuit
 from adp_path_follower.study.comparison.peers.stanley import Stanley, StanleyGains
 from folders import DATA, ROOT
@@ -97,9 +97,8 @@ class ClosedLoop:
 @pytest.mark.parametrize("name", NAMES)
 def test_every_peer_comes_to_the_path(name, path):
     loop = ClosedLoop(name, PATHS[path], STARTS).run(20.0)
-    place = NearestPlace(PATHS[path], loop.controller.target.arc_length)
-    place.move(loop.pose)
-    left = tracking_error(loop.pose, PATHS[path].frame(place.arc_length).pose)
+    place = place_near(PATHS[path], loop.pose, loop.controller.target.arc_length)
+    left = tracking_error(loop.pose, PATHS[path].frame(place).pose)
     # Stanley's front axle is on the circle when the robot is wheelbase^2 kappa / 2 within it.
     inside = 0.5 * 0.3**2 * 0.5 if (name, path) == ("stanley", "circle:0.5") else 0.0
     assert np.abs(left[:, 1]).max() < 0.012 + inside
@@ -178,10 +177,11 @@ def test_search_stays_on_its_branch_of_a_crossing():
     path = PATHS["lissajous"]
     crossing, other = 0.0, 0.5 * path.length
     assert path.frame(crossing).pose[:2] == pytest.approx(path.frame(other).pose[:2], abs=1e-9)
-    place = NearestPlace(path, np.array([crossing - 0.5, other - 0.5]))
+    place = np.array([crossing - 0.5, other - 0.5])
     for step in np.arange(-0.5, 0.5, 0.01):
         poses = path.frame(np.array([crossing, other]) + step).pose
-        assert place.move(poses) == pytest.approx([crossing + step, other + step], abs=1e-6)
+        place = place_near(path, poses, place)
+        assert place == pytest.approx([crossing + step, other + step], abs=1e-6)
 
 
 @pytest.mark.parametrize(

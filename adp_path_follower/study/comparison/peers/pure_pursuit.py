@@ -10,14 +10,18 @@ from numpy.typing import ArrayLike
 
 from adp_path_follower.core.geometry import FloatArray, contiguous, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.path.nearest import place_near
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.study.comparison.peers.nearest import NearestPlace
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
 USUAL_LOOKAHEAD = 1.0  # [m], as in MATLAB's controllerPurePursuit
 TUNED_LOOKAHEAD = 0.6  # [m]
 
 _LEAST_CARROT_SQUARED = 1e-3  # [m^2]: nearer than this there is no arc to it (Nav2)
+# A chord is no shorter than 2 / pi of its arc, up to half a circle; the rest is for a bent path.
+_ARC_OF_CHORD = 1.7
+_LOOK_AHEAD_SAMPLES = 35
+_BISECTIONS = 12
 _NAV2_PERIOD = 0.05  # [s] of Nav2's controller server: stands in where no time has passed
 
 
@@ -53,13 +57,14 @@ class PurePursuit(PeerController):
         """Look ahead by a distance [m]."""
         super().__init__(settings, path, arc_length)
         self.lookahead = lookahead
-        self._nearest = NearestPlace(path, self.target.arc_length)
+        self._place: FloatArray = np.asarray(self.target.arc_length)
 
     def _command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return v_des and the turn that follows the arc to the point ahead."""
-        curvature = pursuit_curvature(_carrot(self.path, self._nearest, pose, self.lookahead))
+        self._place = place_near(self.path, pose, self._place)
+        curvature = pursuit_curvature(_carrot(self.path, pose, self._place, self.lookahead))
         speed = np.full_like(curvature, self.cruising_speed)
         return np.stack([speed, speed * curvature], axis=-1)
 
@@ -125,7 +130,7 @@ class RegulatedPurePursuit(PeerController):
         """Take the rules."""
         super().__init__(settings, path, arc_length)
         self.rules = rules
-        self._nearest = NearestPlace(path, self.target.arc_length)
+        self._place: FloatArray = np.asarray(self.target.arc_length)
         # In place of the odometry's twist, which Nav2 takes. The robot starts at rest.
         self._twist = np.zeros(2)
 
@@ -134,7 +139,8 @@ class RegulatedPurePursuit(PeerController):
     ) -> FloatArray:
         """Return the regulated speed along the arc to the point ahead, or a turn in place."""
         twist = np.broadcast_to(self._twist, (*pose.shape[:-1], 2))
-        carrot = _carrot(self.path, self._nearest, pose, self.lookahead(twist[..., 0]))
+        self._place = place_near(self.path, pose, self._place)
+        carrot = _carrot(self.path, pose, self._place, self.lookahead(twist[..., 0]))
         curvature = pursuit_curvature(carrot)
         speed = self.regulated_speed(curvature)
         bearing = np.arctan2(contiguous(carrot[..., 1]), contiguous(carrot[..., 0]))
@@ -174,9 +180,43 @@ class RegulatedPurePursuit(PeerController):
         return np.asarray(np.where(fast, np.copysign(stopping, bearing), feasible))
 
 
-def _carrot(
-    path: Path, nearest: NearestPlace, pose: FloatArray, lookahead: ArrayLike
-) -> FloatArray:
+def place_ahead(path: Path, pose: FloatArray, place: FloatArray, distance: ArrayLike) -> FloatArray:
+    """Return the arc length [m] of the place looked ahead to, shape (B,).
+
+    That is the first one from the nearest place on that is a distance away from the robot: the
+    nearest place itself, if the robot is farther from the path; the farthest one in reach, if a
+    bend is too tight for any to be that far away.
+
+    Args:
+        path: The path.
+        pose: x [m], y [m], theta [rad], shape (B, 3).
+        place: Arc length of the nearest place [m], shape (B,).
+        distance: How far to look ahead [m], shape () or (B,).
+
+    """
+    distance = np.broadcast_to(np.asarray(distance, dtype=float), pose.shape[:-1])
+    span = _ARC_OF_CHORD * distance[..., None]
+    samples = place[..., None] + span * np.linspace(0.0, 1.0, _LOOK_AHEAD_SAMPLES)
+    distances = _distance(path, pose, samples)
+    reached = distances >= distance[..., None]
+    some = reached.any(axis=-1)
+    index = np.where(some, np.argmax(reached, axis=-1), np.argmax(distances, axis=-1))
+    high = np.take_along_axis(samples, index[..., None], axis=-1)[..., 0]
+    low = np.take_along_axis(samples, np.maximum(index - 1, 0)[..., None], axis=-1)[..., 0]
+    low = np.where(some, low, high)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        beyond = _distance(path, pose, middle[..., None])[..., 0] >= distance
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    return np.asarray(high)
+
+
+def _distance(path: Path, pose: FloatArray, arc_length: FloatArray) -> FloatArray:
+    """Return the distance [m] of poses (B, 3) to each of their K places (B, K), shape (B, K)."""
+    away = path.frame(arc_length).pose[..., :2] - pose[..., None, :2]
+    return np.hypot(away[..., 0], away[..., 1])
+
+
+def _carrot(path: Path, pose: FloatArray, place: FloatArray, lookahead: ArrayLike) -> FloatArray:
     """Return the point ahead in the robot's frame, [x, y, heading] (B, 3)."""
-    nearest.move(pose)
-    return tracking_error(path.frame(nearest.ahead(pose, lookahead)).pose, pose)
+    return tracking_error(path.frame(place_ahead(path, pose, place, lookahead)).pose, pose)

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.path.nearest import place_near
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.study.comparison.peers.nearest import NearestPlace
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
 
@@ -71,7 +71,7 @@ class Stanley(PeerController):
         """Take the gains."""
         super().__init__(settings, path, arc_length)
         self.gains = gains
-        self._nearest = NearestPlace(path, self.target.arc_length)
+        self._place: FloatArray = np.asarray(self.target.arc_length)
 
     def _command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
@@ -82,7 +82,8 @@ class Stanley(PeerController):
         if gains.at_front_axle:
             reference[..., 0] += gains.wheelbase * np.cos(pose[..., 2])
             reference[..., 1] += gains.wheelbase * np.sin(pose[..., 2])
-        place = self.path.frame(self._nearest.move(reference))
+        self._place = place_near(self.path, reference, self._place)
+        place = self.path.frame(self._place)
         _, cross_track, heading = np.moveaxis(tracking_error(reference, place.pose), -1, 0)
         steering = steering_angle(heading, cross_track, speed, gains)
         if gains.curvature_feedforward:

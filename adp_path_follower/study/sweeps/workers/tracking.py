@@ -8,17 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.geometry import FloatArray, tracking_error
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.nearest import beside
 
 TRANSIENT = 10.0  # [s] after which the distance from the path counts, of runs that are longer
 SETTLED = 0.05  # of the distance [m] and the angle [rad] to the path together
 ON_PATH = 0.5  # [m] from the path, at most, at the end of a stable run
 _LAST_SHARE = 0.2  # of a run: its end
 _SAMPLING = 0.05  # [s] between two looks
-_NEWTON_STEPS = 3
-_LONGEST_STEP = 0.5  # [m] of Newton's method
-_LEAST_SLOPE = 0.1  # of Newton's method, which has none at the centre of the path's curvature
+_LONGEST_STEP = 0.5  # [m] of the search for the place abreast, which starts at the target's
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,9 @@ class TrackingMeter:
         """Take the true poses of some of the runs, shape (B, 3), at a time [s]."""
         if round(time / self._period) % self._stride:
             return
-        distance, angle = self._beside_path(pose, output.arc_length)
+        with np.errstate(all="ignore"):  # runs that are lost may be anywhere
+            place = beside(self._path, pose, output.arc_length, _LONGEST_STEP)
+        distance, angle = place.cross_track, place.heading
         off = ~(np.hypot(distance, angle) < SETTLED)
         self._unsettled[runs][off] = time
         self._last_time = max(self._last_time, time)
@@ -85,14 +86,3 @@ class TrackingMeter:
             settling_time=np.where(never, math.inf, np.maximum(settling, 0.0)),
             ends_on_path=self._ends_on_path,
         )
-
-    def _beside_path(self, pose: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return distance [m] and angle [rad] to the place of the path abreast, shape (B,)."""
-        with np.errstate(all="ignore"):  # runs that are lost may be anywhere
-            for _ in range(_NEWTON_STEPS):
-                frame = self._path.frame(place)
-                error = tracking_error(pose, frame.pose)
-                slope = np.maximum(1.0 - frame.curvature * error[:, 1], _LEAST_SLOPE)
-                place = place + np.clip(error[:, 0] / slope, -_LONGEST_STEP, _LONGEST_STEP)
-            error = tracking_error(pose, self._path.frame(place).pose)
-        return error[:, 1], error[:, 2]

@@ -1,0 +1,146 @@
+"""The place on a path nearest to a robot: on the whole path, or near the last place.
+
+A path may cross itself, and the nearest place on the whole path would then jump from one branch to
+the other. A search near the last place stays on its branch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray, tracking_error
+from adp_path_follower.core.path.curve import Path
+
+_NEWTON_STEPS = 4
+_LEAST_SLOPE = 0.1  # of Newton's method, which has none at the centre of the path's curvature
+
+_REACH = 1.0  # [m] to either side of the last place
+_SPACING = 0.1  # [m] of the candidates there
+
+_DRIVE_REACH = 0.5  # [m] of path that is searched beyond how far the robot drove
+_DRIVE_STRIDE = 0.5  # [m] that the robot drives while one stretch of path is searched
+_DRIVE_SPACING = 0.02  # [m] of the candidates
+_MOST_POSES = 1000  # searched at once
+_JUMP = 1.0  # [m] between two poses: not driven, so the whole path is searched again
+_PIECE = 20_000  # poses refined at once: all of a long drive would take hundreds of MB
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Poses beside a path; one row for each pose.
+
+    Attributes:
+        arc_length: Of the place abreast of the robot [m]; goes on over the laps of a closed path.
+        cross_track: Distance from the path [m], positive to its left.
+        heading: Heading less that of the path [rad], in [-pi, pi).
+
+    """
+
+    arc_length: FloatArray
+    cross_track: FloatArray
+    heading: FloatArray
+
+
+def best_place(path: Path, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the place on the whole path that suits a pose best, and its score.
+
+    The nearest place suits best, where a heading error of 90 degrees counts like a metre. At a
+    crossing of the path with itself, and between two lanes, the heading decides.
+
+    Args:
+        path: The path; its samples are compared, which are at most 2 cm apart up to 2 km.
+        pose: x [m], y [m], theta [rad], shape (..., 3).
+
+    Returns:
+        Arc length [m] and score [m²], 0 at best, shape (...) each.
+
+    """
+    samples = path.samples
+    x, y, heading = (pose[..., index, None] for index in range(3))
+    dx, dy = samples.x - x, samples.y - y
+    along = samples.cos * np.cos(heading) + samples.sin * np.sin(heading)
+    score = dx * dx + dy * dy + 1.0 - along
+    best = np.argmin(score, axis=-1)
+    return samples.arc_length[best], np.take_along_axis(score, best[..., None], axis=-1)[..., 0]
+
+
+def place_near(path: Path, poses: FloatArray, last: FloatArray) -> FloatArray:
+    """Return the arc length [m] of the nearest place within 1 m of each robot's last one.
+
+    Args:
+        path: The path.
+        poses: x [m], y [m], theta [rad], shape (..., 3).
+        last: Arc length of the last place [m], broadcasts to shape (...).
+
+    """
+    count = round(_REACH / _SPACING)
+    candidates = np.asarray(last)[..., None] + np.linspace(-_REACH, _REACH, 2 * count + 1)
+    return beside(path, poses, _nearest(path, poses, candidates), 0.5 * _SPACING).arc_length
+
+
+def beside(
+    path: Path, poses: FloatArray, arc_length: FloatArray, longest_step: float
+) -> Projection:
+    """Return the exact places abreast of poses near given ones, by Newton's method.
+
+    Args:
+        path: The path.
+        poses: x [m], y [m], theta [rad], shape (..., 3).
+        arc_length: Where the search starts [m], shape (...).
+        longest_step: Of the four steps [m].
+
+    """
+    for _ in range(_NEWTON_STEPS):  # until the tangential error is 0
+        frame = path.frame(arc_length)
+        error = tracking_error(poses, frame.pose)
+        slope = np.maximum(1.0 - frame.curvature * error[..., 1], _LEAST_SLOPE)
+        arc_length = arc_length + np.clip(error[..., 0] / slope, -longest_step, longest_step)
+    # Beyond the ends of an open path its tangents go on, so `y` is the distance from those.
+    error = tracking_error(poses, path.frame(arc_length).pose)
+    return Projection(np.asarray(arc_length), error[..., 1], error[..., 2])
+
+
+def project(path: Path, poses: FloatArray) -> Projection:
+    """Return the places of a path nearest to the poses of a drive, each near the one before.
+
+    The whole path is searched only at the start, and where the robot was put elsewhere.
+
+    Args:
+        path: The path.
+        poses: x [m], y [m], theta [rad] in order of time, shape (N, 3).
+
+    """
+    arc_length = np.zeros(len(poses))
+    steps = np.linalg.norm(np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]), axis=1)
+    driven = np.cumsum(steps)
+    jumps = np.flatnonzero(steps > _JUMP)
+    start, place = 0, 0.0
+    while start < len(poses):
+        if start == 0 or steps[start] > _JUMP:
+            place = float(best_place(path, poses[start])[0])
+        stop = int(np.searchsorted(driven, driven[start] + _DRIVE_STRIDE, side="right"))
+        next_jump = jumps[np.searchsorted(jumps, start, side="right") :][:1]
+        stop = min(max(stop, start + 1), start + _MOST_POSES, *next_jump.tolist(), len(poses))
+        reach = _DRIVE_REACH + min(_JUMP, steps[start]) + driven[stop - 1] - driven[start]
+        count = math.ceil(reach / _DRIVE_SPACING)
+        candidates = place + np.linspace(-reach, reach, 2 * count + 1)
+        arc_length[start:stop] = _nearest(path, poses[start:stop], candidates)
+        place, start = float(arc_length[stop - 1]), stop
+    pieces = [slice(at, at + _PIECE) for at in range(0, max(len(poses), 1), _PIECE)]
+    found = [beside(path, poses[rows], arc_length[rows], _DRIVE_SPACING) for rows in pieces]
+    return Projection(
+        np.concatenate([part.arc_length for part in found]),
+        np.concatenate([part.cross_track for part in found]),
+        np.concatenate([part.heading for part in found]),
+    )
+
+
+def _nearest(path: Path, poses: FloatArray, candidates: FloatArray) -> FloatArray:
+    """Return the nearest of K candidates [m], shape (K,) or (..., K), to each pose, shape (...)."""
+    points = path.frame(candidates).pose[..., :2]
+    squared = ((poses[..., None, :2] - points) ** 2).sum(axis=-1)
+    best = np.argmin(squared, axis=-1)[..., None]
+    return np.take_along_axis(np.broadcast_to(candidates, squared.shape), best, axis=-1)[..., 0]
