@@ -36,7 +36,7 @@ def test_every_setting_is_in_the_table_and_explained():
     table = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
     for tree in (Settings, SimulatorSettings):
         for field in setting_fields(tree):
-            assert f"| `{field.name}`<br>{field.spec.doc}" in table
+            assert re.search(rf"^- `{field.name}`.*: {re.escape(field.spec.doc)}$", table, re.M)
             assert field.spec.doc.endswith(".")
 
 
@@ -125,12 +125,12 @@ def test_the_table_of_faults_is_that_of_the_bench_and_its_tests_exist():
 
 
 def test_notation_names_things_that_exist():
-    """Every code name in docs/notation.md is a setting, or stands in the core's source."""
+    """Every code name in docs/method.md is a setting, or stands in the core's source."""
     source = "".join(
         file.read_text(encoding="utf-8")
         for file in (*(ROOT / "adp_path_follower").rglob("*.py"), *ROOT.glob("sim_unicycle/*.py"))
     )
-    rows = re.findall(r"^\|([^|]+)\|([^|]+)\|", (ROOT / "docs" / "notation.md").read_text(), re.M)
+    rows = re.findall(r"^\|([^|]+)\|([^|]+)\|", (ROOT / "docs" / "method.md").read_text(), re.M)
     names = [name for row in rows for name in re.findall(r"`([^`]+)`", row[1])]
     assert len(names) > 30
     for name in names:

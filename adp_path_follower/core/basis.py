@@ -346,7 +346,7 @@ def make_basis(name: str, degree: int, frame: str) -> Basis:
     """Return a basis by its name in `BASES`, in a frame of `FRAMES`.
 
     Args:
-        name: "paper" is the paper's with its last three terms as squares (docs/paper.md, erratum
+        name: "paper" is the paper's with its last three terms as squares (docs/method.md, erratum
             1), "paper_misprinted" the one that is printed, to show that it leaves the path.
         degree: Highest degree of "polynomial".
         frame: The coordinates of the position error.

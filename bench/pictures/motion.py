@@ -1,4 +1,4 @@
-"""Drive squares with rounded corners under limits: the table and the figure of docs/motion.md.
+"""Drive squares with rounded corners under limits: the table and the figure of docs/paths.md.
 
 python bench/pictures/motion.py [--figure FILE.png]
 """

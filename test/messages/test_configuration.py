@@ -70,16 +70,18 @@ def test_texts_are_read_back_from_yaml(value):
 def test_the_table_has_a_row_for_every_setting(tree):
     titles = group_titles(tree)
     table = describe_table(tree, titles)
-    rows = [line for line in table.splitlines() if line.startswith("| `")]
+    rows = [line for line in table.splitlines() if line.startswith("- `")]
     fields = setting_fields(tree)
     assert len(rows) == len(fields)
     for row, field in zip(rows, fields, strict=True):
-        assert row.startswith(f"| `{field.name}`<br>{field.spec.doc} |")
-        assert f"`{yaml_text(field.default)}`" in row
-        assert row.count("|") == 4
-        assert f"{field.spec.symbol} = `" in row or not field.spec.symbol
-        assert f"` {field.spec.unit} |" in row or not field.spec.unit
-        assert row.endswith("fixed |") is bool(field.spec.read_only)
+        spec = field.spec
+        assert row.startswith(f"- `{field.name}`")
+        assert row.endswith(f": {spec.doc}")
+        assert f" = `{yaml_text(field.default)}`" in row
+        assert f" {spec.symbol} = `" in row or not spec.symbol
+        assert f"` {spec.unit}" in row or not spec.unit
+        assert all(choice in row for choice in spec.choices)
+        assert ("fixed):" in row) is bool(spec.read_only)
     for title in titles.values():
         assert f"### {title}\n" in table
 

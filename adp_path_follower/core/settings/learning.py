@@ -30,7 +30,7 @@ class LearningSettings:
     basis: str = setting(
         "polynomial",
         "Basis of the value function: all monomials of the error up to basis_degree, the paper's "
-        "terms, or those as they are printed, which leave the path (docs/paper.md).",
+        "terms, or those as they are printed, which leave the path (docs/method.md).",
         symbol="σ",
         choices=BASES,
         read_only=_STRUCTURE,

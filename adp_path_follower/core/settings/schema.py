@@ -195,19 +195,27 @@ def _checked_item(kind: type, spec: Spec, value: object) -> Any:
 
 
 def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:
-    """Return the settings of a tree as Markdown tables, one for each group."""
+    """Return the settings of a tree as Markdown lists, one for each group."""
     lines: list[str] = []
     group = ""
     for field in setting_fields(tree):
         if field.group != group:
             group = field.group
             lines += ["", f"### {title_of_group[group]}", ""]
-            lines += ["| name | default | allowed |", "|---|---|---|"]
         spec = field.spec
-        symbol = f"{spec.symbol} = " if spec.symbol else ""
-        default = f"{symbol}`{yaml_text(field.default)}` {spec.unit}".strip()
-        allowed = "; ".join(filter(None, [field.range_text, "fixed" * bool(spec.read_only)]))
-        lines.append(f"| `{field.name}`<br>{spec.doc} | {default} | {allowed} |")
+        symbol = f" {spec.symbol}" if spec.symbol else ""
+        default = f"`{yaml_text(field.default)}` {spec.unit}".strip()
+        allowed = field.range_text
+        for words, sign in (
+            ("at least ", "≥"),
+            ("at most ", "≤"),
+            ("above ", ">"),
+            ("one of ", ""),
+        ):
+            allowed = allowed.replace(words, sign)
+        allowed = "; ".join(filter(None, [allowed, "fixed" * bool(spec.read_only)]))
+        limits = f" ({allowed})" if allowed else ""
+        lines.append(f"- `{field.name}`{symbol} = {default}{limits}: {spec.doc}")
     return "\n".join(lines).strip() + "\n"
 
 
