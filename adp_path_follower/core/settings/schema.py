@@ -194,6 +194,9 @@ def _checked_item(kind: type, spec: Spec, value: object) -> Any:
     return value
 
 
+_SIGNS = {"at least ": "≥", "at most ": "≤", "above ": ">", "one of ": ""}
+
+
 def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:
     """Return the settings of a tree as Markdown lists, one for each group."""
     lines: list[str] = []
@@ -206,12 +209,7 @@ def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:
         symbol = f" {spec.symbol}" if spec.symbol else ""
         default = f"`{yaml_text(field.default)}` {spec.unit}".strip()
         allowed = field.range_text
-        for words, sign in (
-            ("at least ", "≥"),
-            ("at most ", "≤"),
-            ("above ", ">"),
-            ("one of ", ""),
-        ):
+        for words, sign in _SIGNS.items():
             allowed = allowed.replace(words, sign)
         allowed = "; ".join(filter(None, [allowed, "fixed" * bool(spec.read_only)]))
         limits = f" ({allowed})" if allowed else ""
