@@ -28,94 +28,77 @@ class PlantSettings:
     """Robot."""
 
     min_linear_vel: float = setting(
-        -math.inf, "Lowest linear velocity that the robot can do.", unit="m/s", high=0.0
+        -math.inf, "Lowest possible linear velocity.", unit="m/s", high=0.0
     )
     max_linear_vel: float = setting(
-        math.inf, "Highest linear velocity that the robot can do.", unit="m/s", low=0.0
+        math.inf, "Highest possible linear velocity.", unit="m/s", low=0.0
     )
     max_angular_vel: float = setting(
-        math.inf, "Highest angular velocity that the robot can do.", unit="rad/s", low=0.0
+        math.inf, "Highest possible angular velocity.", unit="rad/s", low=0.0
     )
     max_linear_accel: float = setting(
-        math.inf,
-        "Highest change of the linear velocity that the robot can do.",
-        unit="m/s^2",
-        low=POSITIVE,
+        math.inf, "Highest possible linear acceleration.", unit="m/s^2", low=POSITIVE
     )
     max_angular_accel: float = setting(
-        math.inf,
-        "Highest change of the angular velocity that the robot can do.",
-        unit="rad/s^2",
-        low=POSITIVE,
+        math.inf, "Highest possible angular acceleration.", unit="rad/s^2", low=POSITIVE
     )
     velocity_lag: float = setting(
         0.0,
-        "Time constant with which the wheels' velocities follow the command.",
+        "Time constant of the wheels' velocities.",
         unit="s",
         low=0.0,
         high=10.0,
     )
     command_delay: float = setting(
         0.0,
-        "Time from a command to its effect, in whole steps of the simulation (rounded up).",
+        "Time from a command to its effect, rounded up to whole steps.",
         unit="s",
         low=0.0,
         high=10.0,
     )
     linear_slip: float = setting(
         0.0,
-        "Share of the wheels' linear velocity that the ground does not give; odometry's velocity "
-        "is the wheels'.",
+        "Lost share of the wheels' linear velocity; odometry reports the wheels' velocity.",
         low=0.0,
         high=1.0,
     )
     angular_slip: float = setting(
-        0.0, "Share of the angular velocity that the ground does not give.", low=0.0, high=1.0
+        0.0, "Lost share of the wheels' angular velocity.", low=0.0, high=1.0
     )
     friction: float = setting(
         math.inf,
-        "Coefficient of friction: the ground gives no more linear acceleration, along and across, "
-        "than this times 9.81 m/s^2; on less the robot brakes late and drifts wide.",
+        "Coefficient of friction: bounds the acceleration, along and across, to this times "
+        "9.81 m/s^2. With little of it the robot brakes late and drifts wide.",
         low=POSITIVE,
     )
     push: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0),
-        "Velocity in the robot's frame, forward, to the left and turning, with which somebody "
-        "moves it beside what its wheels do.",
+        "Velocity of a push, added to that of the wheels: forward, to the left and turning.",
         unit="m/s, m/s, rad/s",
         low=-100.0,
         high=100.0,
         lengths=(3,),
     )
     position_noise: float = setting(
-        0.0, "Standard deviation of the noise of x and y in odometry.", unit="m", low=0.0, high=10.0
+        0.0, "Standard deviation of x and y in odometry.", unit="m", low=0.0, high=10.0
     )
     heading_noise: float = setting(
-        0.0,
-        "Standard deviation of the noise of the heading in odometry.",
-        unit="rad",
-        low=0.0,
-        high=3.0,
+        0.0, "Standard deviation of the heading in odometry.", unit="rad", low=0.0, high=3.0
     )
     position_drift: float = setting(
         0.0,
-        "How x and y in odometry drift: a random walk with this standard deviation after 1 s, "
-        "growing with the square root of time.",
+        "Drift of x and y in odometry: a random walk with this standard deviation after 1 s.",
         unit="m/sqrt(s)",
         low=0.0,
         high=10.0,
     )
     heading_drift: float = setting(
-        0.0,
-        "How the heading in odometry drifts, likewise.",
-        unit="rad/sqrt(s)",
-        low=0.0,
-        high=3.0,
+        0.0, "The same for the heading.", unit="rad/sqrt(s)", low=0.0, high=3.0
     )
     odometry_delay: float = setting(
         0.0,
-        "Time from a measurement, whose stamp it keeps, to its odometry message, in whole steps "
-        "of the simulation (rounded up).",
+        "Time from a measurement to its message, rounded up to whole steps. The stamp is that of "
+        "the measurement.",
         unit="s",
         low=0.0,
         high=10.0,
@@ -125,7 +108,7 @@ class PlantSettings:
     )
     seed: int = setting(
         0,
-        "Seed of all that is random; the run number n of a batch has the seed plus n.",
+        "Seed of all random numbers; run n of a batch has this seed plus n.",
         low=0,
         high=2**31 - 1,
         read_only=_START,
@@ -141,34 +124,26 @@ class MessageFaultSettings:
     )
     odometry_corruption: str = setting(
         "none",
-        "What is wrong with the values of odometry messages.",
+        "Fault in the values of odometry messages.",
         choices=("none", "nan", "infinite", "zero_quaternion"),
     )
     odometry_offset: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0),
-        "What is added to x, y and theta of odometry messages: a pose that jumps.",
+        "Offset of x, y and theta in odometry messages: a pose that jumps.",
         unit="m, m, rad",
         low=-1e6,
         high=1e6,
         lengths=(3,),
     )
     odometry_stamp_offset: float = setting(
-        0.0,
-        "What is added to the stamps of odometry messages.",
-        unit="s",
-        low=-1e6,
-        high=1e6,
+        0.0, "Offset of the stamps of odometry messages.", unit="s", low=-1e6, high=1e6
     )
-    reported_odom_frame: str = setting(
-        "", "Frame that odometry messages name instead of odom_frame; empty: odom_frame."
-    )
-    reported_base_frame: str = setting(
-        "", "Frame that odometry messages name instead of base_frame; empty: base_frame."
-    )
-    clock_stops: bool = setting(False, "Publish no /clock, and go on with odometry.")
+    reported_odom_frame: str = setting("", "Frame in odometry messages; empty: odom_frame.")
+    reported_base_frame: str = setting("", "Robot frame in odometry messages; empty: base_frame.")
+    clock_stops: bool = setting(False, "Publish odometry, but no /clock.")
     clock_offset: float = setting(
         0.0,
-        "What is added to /clock and to the stamps of odometry; their time stays above 0.",
+        "Offset of /clock and of odometry stamps; their time stays above 0.",
         unit="s",
         low=-1e6,
         high=1e6,
@@ -196,9 +171,8 @@ class SimulationSettings:
     )
     lockstep: bool = setting(
         False,
-        "Let simulated time go on only when the command that answers the last odometry has come: "
-        "as fast as the machine can, and the same on every machine. The controller needs "
-        "control_trigger: odometry.",
+        "Let simulated time wait for the command that answers the last odometry: fast, and the "
+        "same on every machine. The controller needs control_trigger: odometry.",
         read_only=_WIRING,
     )
     publish_clock: bool = setting(False, "Publish the simulated time on /clock.", read_only=_WIRING)
@@ -211,22 +185,21 @@ class SimulationSettings:
     )
     command_timeout: float = setting(
         0.5,
-        "Age of the last command, in simulated time, after which the robot stands still.",
+        "Age of the last command, in simulated time, at which the robot stops.",
         unit="s",
         low=0.01,
         high=60.0,
     )
     fault_script: str = setting(
         "",
-        "Parameters that change with time: a file, or the name of one in config/faults; its time "
-        "begins with the first command to move.",
+        "Script of timed parameters: a file, or the name of one in config/faults.",
         read_only="it is read at the start",
     )
     odom_frame: str = setting("odom", "Frame of the odometry.", read_only=_WIRING)
     base_frame: str = setting("base_link", "Frame of the robot.", read_only=_WIRING)
 
     def __post_init__(self) -> None:
-        """Refuse a pace that nobody else would know of."""
+        """Reject a pace that other nodes could not follow."""
         if self.real_time_factor != 1.0 and not (self.publish_clock or self.lockstep):
             raise SettingsError(
                 f"setting 'real_time_factor' is {self.real_time_factor:g}, but must be 1 unless "
@@ -244,7 +217,7 @@ class SimulatorSettings:
     simulation: SimulationSettings = SimulationSettings()
 
     def __post_init__(self) -> None:
-        """Refuse what lock-step would wait for in vain."""
+        """Reject faulty messages in lock-step, which waits for an answer to each message."""
         if not self.simulation.lockstep:
             return
         for item in fields(MessageFaultSettings):

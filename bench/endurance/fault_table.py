@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path as FilePath
 
 AGAIN = "resumes with sound odometry"
-SETTLED = "resumes after 0.2 s of sound odometry"
+SETTLED = "resumes after 0.2 s"
 # Fault -> how it is injected, what the robot does after zero velocity, which test does the same.
 # A test compares docs/safety.md with this table.
 FAULTS = {

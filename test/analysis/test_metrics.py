@@ -307,7 +307,8 @@ def test_a_clock_that_waits_for_the_commands_tells_no_latency(tmp_path):
 def test_every_metric_is_documented():
     page = (ROOT / "docs" / "analysis.md").read_text(encoding="utf-8")
     for metric in METRICS:
-        assert f"| `{metric.name}` | {metric.unit} | {metric.meaning} |" in page
+        unit = f" [{metric.unit}]" if metric.unit else ""
+        assert f"- `{metric.name}`{unit}: {metric.meaning}\n" in page
 
 
 def test_evo_reads_the_trajectory(tmp_path):
