@@ -65,7 +65,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "fault_script",
                 default_value="",
-                description="What goes wrong with the simulated robot, and when: a YAML file, or "
+                description="Script of timed faults of the simulated robot: a YAML file, or "
                 "the name of one in the package's config/faults, such as push.",
             ),
             DeclareLaunchArgument(

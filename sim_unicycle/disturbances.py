@@ -1,4 +1,4 @@
-"""What the drive and the ground make of a command, exactly over any step."""
+"""Turn commands into motion: drive and ground, exactly over any step."""
 
 from __future__ import annotations
 

@@ -40,9 +40,9 @@ def odometry_of(reading: Reading, time: int, settings: SimulatorSettings) -> Odo
     """Return the message of a reading, with the faults of the settings.
 
     Args:
-        reading: What was measured.
-        time: When, by the simulated clock [ns].
-        settings: Give the frames and the faults.
+        reading: The measurement.
+        time: Time of the measurement by the simulated clock [ns].
+        settings: Frames and faults.
 
     """
     faults, simulation = settings.message_faults, settings.simulation

@@ -1,6 +1,6 @@
 """Odometry of the simulated robot: noise, drift, delay and losses, the same for every controller.
 
-What is random depends on seed, run and the number of steps only: not on who measures, how often,
+Random numbers depend on seed, run and the number of steps only: not on who measures, how often,
 or which other runs and disturbances there are.
 """
 
@@ -71,7 +71,7 @@ class Odometry:
     """Measures one robot, or a batch of them along the leading axes of the pose, once a step.
 
     Attributes:
-        reading: What has arrived last; of a run whose message was lost, the one before.
+        reading: The last reading that arrived; in a run whose message was lost, the one before.
         arrived: The readings that arrived with the last step, without those that were lost by all.
 
     """

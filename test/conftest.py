@@ -1,4 +1,4 @@
-"""What holds for all tests."""
+"""Fixtures and settings of all tests."""
 
 from adp_path_follower.threads import use_one_blas_thread
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+import pkgutil
 import re
 import runpy
 
+import click
 import pytest
 import yaml
 from click.testing import CliRunner
 
 from adp_path_follower import __version__
+from adp_path_follower.cli.main import adp
 from adp_path_follower.cli.parameters import parameters
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
@@ -19,6 +22,9 @@ from adp_path_follower.core.settings.schema import build, flatten, setting_field
 from folders import ROOT
 from sim_unicycle.settings import SimulatorSettings
 
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+TOP = "adp_path_follower|sim_unicycle|bench|examples|test|docs|config|launch"
+GENERATED = ("bench/results/",)
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 
 
@@ -104,12 +110,60 @@ def test_versions_agree():
     assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-def test_links_in_the_docs_lead_somewhere():
-    for document in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
-        text = document.read_text(encoding="utf-8")
-        for target in re.findall(r"\]\(([^)#]+)\)", text):
-            if "://" not in target:
-                assert (document.parent / target).exists(), f"{document.name}: {target}"
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        file, _, anchor = target.partition("#")
+        linked = page.parent / file if file else page
+        assert linked.exists(), target
+        assert not anchor or f'<a name="{anchor}"></a>' in linked.read_text(encoding="utf-8"), (
+            target
+        )
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_and_folders_that_the_docs_name_exist(page):
+    text = page.read_text(encoding="utf-8")
+    rooms = "|".join(file.name for file in (ROOT / "adp_path_follower").iterdir() if file.is_dir())
+    for name in re.findall(rf"(?<![\w/.-])(?:{TOP}|{rooms})/[\w./-]*", text):
+        found = name.rstrip(".")
+        if not found.startswith(GENERATED):
+            inside = (ROOT / found, ROOT / "adp_path_follower" / found)
+            assert any(file.exists() for file in inside), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tests_and_modules_that_the_docs_name_exist(page):
+    text = page.read_text(encoding="utf-8")
+    files = [file for top in TOP.split("|") for file in (ROOT / top).rglob("*.py")]
+    for name in re.findall(r"`(\w+\.py)`", text):
+        assert any(file.name == name for file in files), name
+    tests = " ".join(file.read_text(encoding="utf-8") for file in (ROOT / "test").rglob("*.py"))
+    for name in re.findall(r"`(test_\w+)`", text):
+        assert f"def {name}(" in tests, name
+    for name in re.findall(r"`(adp_path_follower(?:\.\w+)+)(?:\(\))?`", text):
+        assert pkgutil.resolve_name(name), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_of_the_docs_have_the_options_that_they_name(page):
+    text = page.read_text(encoding="utf-8")
+    for name, rest in re.findall(r"(?:^|`|\$ |    )adp ([a-z]+)\b([^`\n]*)", text, re.M):
+        command = adp.get_command(click.Context(adp), name)
+        assert command is not None, name
+        known = {option for parameter in command.params for option in parameter.opts}
+        assert set(re.findall(r"(?<!\S)--[a-z-]+", rest)) <= {*known, "--help"}, f"adp {name}{rest}"
+    for target in re.findall(r"`make (\w+)`", text):
+        assert f"\n{target}:" in (ROOT / "Makefile").read_text(encoding="utf-8"), target
+
+
+def test_pages_that_code_and_configuration_name_exist():
+    for top in TOP.split("|"):
+        for file in [*(ROOT / top).rglob("*.py"), *(ROOT / top).rglob("*.yaml")]:
+            for page in re.findall(r"docs/\w+\.md", file.read_text(encoding="utf-8")):
+                assert (ROOT / page).exists(), f"{file.relative_to(ROOT)}: {page}"
 
 
 def test_the_table_of_faults_is_that_of_the_bench_and_its_tests_exist():

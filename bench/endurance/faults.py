@@ -31,7 +31,7 @@ from fault_robots import (  # before the next, which it makes known
 from fault_table import GROUPS, TIMES, summary, with_table
 
 # isort: split
-# What the tests have for nodes, a peer on their domain and a defective controller.
+# The tests' nodes, a peer on their domain and defective controllers.
 from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState

@@ -2,7 +2,7 @@
 
 Every command must end with success or one sentence (AdpError), within 10 s of computing time and
 500 MB for each bag.
-Of a bag that cannot be read as it is, the recovered one is analyzed and replayed, too. Pictures
+If a bag cannot be read as it is, its recovered copy is analyzed and replayed, too. Pictures
 take most of the time of an analysis: `--pictures 1` draws them for every bag. Linux only.
 """
 

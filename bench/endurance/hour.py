@@ -30,7 +30,7 @@ import numpy as np
 
 sys.path.insert(0, str(FilePath(__file__).resolve().parents[2] / "test" / "support"))
 
-# What the tests have for nodes and a peer on their domain.
+# The tests' nodes and a peer on their domain.
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
@@ -208,7 +208,7 @@ class Hour:
         )
         self.refused += not answer.result.successful
 
-    # What happens
+    # Events
 
     def fault(self) -> None:
         """Let the robot or its messages be faulty for a while."""

@@ -162,7 +162,7 @@ class Contender:
         self._context.try_shutdown()
 
 
-# What runs under a name: a script, or the controller with parameters.
+# Name -> a script, or the controller with parameters.
 CONTENDERS: dict[str, dict[str, Any] | str] = {
     "relay": "relay.py",
     "loaded relay": "loaded_relay.py",

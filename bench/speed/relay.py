@@ -1,4 +1,4 @@
-"""A bare node: every odometry message is answered by a command. What rclpy itself costs."""
+"""Run a bare node that answers every odometry message with a command: the cost of rclpy."""
 
 import rclpy
 from geometry_msgs.msg import TwistStamped

@@ -1,4 +1,4 @@
-"""What the benchmarks share: timing in turns, the machine, and the table and file of results."""
+"""Share timing in turns, the machine, and the table and file of results among benchmarks."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Row:
     """One result.
 
     Attributes:
-        what: What was measured.
-        value: How much.
-        unit: Of the value.
-        ratio: To the floor or the peer, measured in the same run.
+        what: Name of the measurement.
+        value: Its value.
+        unit: Unit of the value.
+        ratio: Ratio to the floor or the peer, measured in the same run.
         against: Name of the floor or peer, empty without one.
         target: Highest ratio wanted, None without one.
 

@@ -45,7 +45,7 @@ DIAGNOSTICS = ("diagnostic_msgs/msg/DiagnosticArray",)
 
 @dataclass(frozen=True)
 class Use:
-    """What a layout takes from a run.
+    """Topics and fields that a layout takes from a run.
 
     Attributes:
         topic: The topic.
@@ -93,7 +93,7 @@ def bag(tmp_path_factory) -> Bag:
     return Bag(types, messages)
 
 
-# What the layouts name
+# Names in the layouts
 
 
 def rviz_uses(text: str, topics: Collection[str]) -> Iterator[Use]:

@@ -88,7 +88,7 @@ def test_other_parameters_give_a_bag_and_a_report(bag, tmp_path):
     old, new = read_run(bag), read_run(out / "bag_replayed")
     assert np.array_equal(new.series["odom"].values, old.series["odom"].values)
     assert np.array_equal(new.series["cmd_vel"].values[:, 1], replayed)
-    # What was written is a run like any other, and replays to the last bit itself.
+    # The written bag is a run like any other, and replays to the last bit itself.
     again = replay(new)
     assert again.identical.all()
     assert compare_weights(new, again).identical.all()

@@ -133,7 +133,7 @@ def drive_on_line(lateral, heading=0.0, duration=20.0, rate=100, commands=twist_
         lateral: y [m] at a time [s].
         heading: Theta [rad], constant.
         duration: Time [s].
-        rate: Of odometry and commands [Hz].
+        rate: Rate of odometry and commands [Hz].
         commands: Makes the message of a command, which arrives 3 ms after its odometry.
 
     """

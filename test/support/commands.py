@@ -15,7 +15,7 @@ from adp_path_follower.cli import main
 
 @dataclass(frozen=True)
 class Done:
-    """What a command said, and its exit code."""
+    """Output and exit code of a command."""
 
     returncode: int
     stdout: str

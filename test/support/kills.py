@@ -30,7 +30,7 @@ class Kill:
     """How a recording was killed.
 
     Attributes:
-        compression: Of the bag.
+        compression: Compression of the bag.
         max_duration: Time [s] after which the bag goes on in another file.
         after: Time [s] between the first message of every topic and the kill.
 
@@ -43,13 +43,13 @@ class Kill:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was saved of a recording.
+    """Messages that were saved of a recording.
 
     Attributes:
         messages: Number of messages saved.
         lost: Time [s] from the last message of the topic that ends first to the kill; of a topic
             without messages, from its first one, of which the recorder's log tells.
-        problems: What is not as it was published, in sentences.
+        problems: Differences to the published messages, in sentences.
 
     """
 
@@ -98,7 +98,7 @@ def kill_and_recover(kill: Kill, start: int, domain: int, folder: FilePath) -> O
 
     Args:
         kill: How.
-        start: What the publisher was started with.
+        start: Arguments of the publisher.
         domain: ROS domain of the publisher.
         folder: Where bags and logs go.
 

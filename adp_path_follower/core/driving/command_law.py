@@ -1,6 +1,6 @@
 """The control law, from the robot's error to its command, in the order of one control step.
 
-With the paper's symbols (docs/notation.md); the paper is arXiv:1310.0064, and equations are
+With the paper's symbols (docs/method.md); the paper is arXiv:1310.0064, and equations are
 numbered as they are used here:
 
     (1)  zeta = [s, y, theta, phi],  zeta' = f(zeta) + g(zeta) u,  [v_ss, w_ss] = v_des [1, kappa]

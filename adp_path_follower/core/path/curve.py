@@ -69,8 +69,8 @@ class PathSamples:
         arc_length: s_p [m].
         x: Position [m].
         y: Position [m].
-        cos: Of the heading.
-        sin: Of the heading.
+        cos: Cosine of the heading.
+        sin: Sine of the heading.
         curvature: kappa [1/m].
 
     """
@@ -94,8 +94,8 @@ class Path:
         """Take the pieces of a twice differentiable curve, each of the same arc length.
 
         Args:
-            coefficients: Of x and y by ascending powers of the arc length from the start of each
-                piece, shape (pieces, 2, degree + 1).
+            coefficients: Coefficients of x and y by ascending powers of the arc length from the
+                start of each piece, shape (pieces, 2, degree + 1).
             length: Length of the whole path [m].
             closed: Whether the path ends where it starts.
 

@@ -32,8 +32,8 @@ def named_path(name: str, settings: PathSettings | None = None) -> Path:
 
     Args:
         name: Name or file.
-        settings: What the points of a file are prepared with, as the controller does; the defaults
-            if None. A path that turns back is refused here: only the controller drives backwards.
+        settings: Settings that prepare the points of a file, as in the controller; the defaults if
+            None. A path that turns back is rejected here: only the controller drives backwards.
 
     Raises:
         PathError: No such name, or points that make no path.

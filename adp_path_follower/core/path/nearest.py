@@ -33,7 +33,7 @@ class Projection:
     """Poses beside a path; one row for each pose.
 
     Attributes:
-        arc_length: Of the place abreast of the robot [m]; goes on over the laps of a closed path.
+        arc_length: Place abreast of the robot [m]; grows over the laps of a closed path.
         cross_track: Distance from the path [m], positive to its left.
         heading: Heading less that of the path [rad], in [-pi, pi).
 
@@ -90,7 +90,7 @@ def beside(
         path: The path.
         poses: x [m], y [m], theta [rad], shape (..., 3).
         arc_length: Where the search starts [m], shape (...).
-        longest_step: Of the four steps [m].
+        longest_step: Bound of the four steps [m].
 
     """
     for _ in range(_NEWTON_STEPS):  # until the tangential error is 0

@@ -143,7 +143,7 @@ def _cut_route(
     Args:
         poses: The poses.
         said: Whether the path is closed, where somebody says so.
-        settings: What to prepare it with.
+        settings: Settings of paths.
         unfit: The spline through all of them, if it is known not to be the path.
 
     Raises:
@@ -238,7 +238,7 @@ def _directions(poses: _Poses, kept: np.ndarray, cusps: np.ndarray) -> np.ndarra
     decided = np.zeros(len(chords))
     if poses.headings is not None:
         motion = np.arctan2(*contiguous(chords.T[::-1]))
-        # Of all poses from one kept point to the next, both included.
+        # Sums over all poses from one kept point to the next, both included.
         sums = np.zeros((2, len(poses.points) + 1))
         known = np.isfinite(poses.headings)
         np.cumsum(np.where(known, np.cos(poses.headings), 0.0), out=sums[0, 1:])

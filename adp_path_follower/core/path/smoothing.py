@@ -216,8 +216,8 @@ def _blends(
     """Choose the level of smoothing at each place, within a budget of distance (M,) [m].
 
     Returns:
-        What each level changes of the one before (M, 2), and with which weight (M,); nothing where
-        the curve is fair as it is.
+        The change of each level to the one before (M, 2), with its weight (M,); none where the
+        curve is fair already.
 
     """
     curves, shares = zip(*_levels(grid, anchor, budget), strict=True)

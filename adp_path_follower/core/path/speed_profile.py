@@ -34,8 +34,8 @@ class SpeedProfile:
         varies: Whether it is anything else than `desired_speed` everywhere.
         stops: Whether it ends at zero, at the end of an open path.
         highest: Its highest speed [m/s].
-        slowest: What models take for the speed where it is lower [m/s]. At rest a lateral error
-            cannot be corrected, so no model has a solution there.
+        slowest: Lowest speed that models use [m/s]. At rest a lateral error cannot be corrected,
+            so no model has a solution there.
 
     """
 

@@ -19,7 +19,7 @@ _MEMORY = 0.5  # [s] over which motion that velocities do not explain adds up
 
 @dataclass(frozen=True)
 class OdometryProblem:
-    """What is wrong with a message.
+    """A reason to reject an odometry message.
 
     Attributes:
         text: One sentence.

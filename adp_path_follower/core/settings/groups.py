@@ -249,7 +249,7 @@ class ControllerSettings:
     )
     control_trigger: str = setting(
         "timer",
-        "What starts a control step: a timer at controller_frequency, or every odometry message "
+        "Trigger of a control step: a timer at controller_frequency, or every odometry message "
         "(the lock-step simulation needs it).",
         choices=("timer", "odometry"),
         read_only=_TIMER,

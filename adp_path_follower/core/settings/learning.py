@@ -11,8 +11,8 @@ from adp_path_follower.core.settings.schema import POSITIVE, setting
 
 _STRUCTURE = "the weights, and the topics that publish them, are those of its terms"
 _SCHEDULE = "no weights can go from one learner to the other"
-# Of s², s y, s θ, y², y θ, θ²: the Riccati solution for the default speed, gains and cost on a
-# straight line.
+# Weights of s², s y, s θ, y², y θ, θ²: the Riccati solution for the default speed, gains and cost
+# on a straight line.
 _QUADRATIC_WEIGHTS = (0.905, 0.0, 0.0, 2.8284, 2.0, 1.4142)
 _MOST_PREVIEW = 1000  # knots
 

@@ -1,4 +1,4 @@
-"""What was sent to the robot: prediction over a delay, stops, and what outlives a follower."""
+"""Commands under way: prediction over a delay, stops, and commands that outlive a follower."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_the_prediction_is_the_motion_of_the_commands_under_way(sent, delay):
     actuation.advance(0.05)
     found = actuation.predicted(pose, delay)
     now += 0.05
-    # What was sent at t moves the robot from t + delay on, until the next command does.
+    # A command at t moves the robot from t + delay on, until the next command does.
     changes = sorted({now - delay, now, *(time for time, _, _ in commands if time > now - delay)})
     expected = pose
     for begin, end in itertools.pairwise(changes):

@@ -1,4 +1,4 @@
-"""What a control step takes from memory: nothing that grows, and nothing large in the policy."""
+"""A control step keeps no memory that grows, and the policy takes nothing large."""
 
 import gc
 import sys

@@ -64,7 +64,7 @@ def test_what_the_samples_do_not_determine_stays_small(seed, count):
     start = Weights(np.ones(SIZE), np.ones(SIZE))
     found = least_squares(start, bellman_errors(start.critic, regressor, costs))
     np.testing.assert_allclose(regressor @ found, -costs, atol=1e-4)  # no error is left
-    # Of all such weights it takes the least, measured by how much each regressor says.
+    # It takes the least of all such weights, measured by how much each regressor says.
     scaled = regressor / np.sqrt(1.0 + (regressor**2).sum(axis=1))[:, None]
     size = np.linalg.norm(scaled, axis=0)
     least = np.linalg.lstsq(regressor / size, -costs, rcond=None)[0]

@@ -178,7 +178,7 @@ def test_a_path_that_was_moved_and_turned_is_the_same():
     there, _ = drive(drivers[0], moved, 1, pose_in_frame(pose, frame))
     here, _ = drive(drivers[1], same, 1, pose)
     assert not complaints
-    # Of the two the nearest place differs by rounding, and by no more than its raster.
+    # The nearest places differ by rounding, and by no more than their raster.
     np.testing.assert_allclose(there[0, :2], here[0, :2], atol=1e-4)
 
 

@@ -161,7 +161,7 @@ BAD_FILES = [
     ("null.yaml", "points:\n", PathError, "shape"),
     ("flat.yaml", "points: [0, 1, 2]\n", PathError, "shape"),
     ("nan.yaml", "points: [[0, 0], [.nan, 1]]\n", PathError, "point 1"),
-    # What PyYAML answers with other exceptions than its own:
+    # PyYAML answers these with other exceptions than its own:
     ("date.yaml", "points: 2001-99-99\n", FileError, "YAML"),
     ("prefix.yaml", "points: 0x_\n", FileError, "YAML"),
     ("typed.yaml", "points: !!int ten\n", FileError, "YAML"),

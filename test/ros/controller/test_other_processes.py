@@ -1,4 +1,4 @@
-"""What becomes of the robot when other processes stall or die: kill -STOP and kill -9 of each."""
+"""The robot stops when other processes stall or die: kill -STOP and kill -9 of each."""
 
 from __future__ import annotations
 

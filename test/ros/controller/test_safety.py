@@ -1,4 +1,4 @@
-"""What stops the robot, over real DDS with real processes, and what lets it go on."""
+"""Faults stop the robot, over real DDS with real processes, and it resumes after them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `ros2 param dump` writes of a running node starts an identical node."""
+"""A dump by `ros2 param dump` of a running node starts an identical node."""
 
 from __future__ import annotations
 

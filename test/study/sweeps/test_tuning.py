@@ -82,7 +82,7 @@ def test_the_best_is_the_best_of_all_that_was_tried(tmp_path):
     costs = [trial.values[0] for trial in trials]
     assert found.best is not None
     assert found.best.values[0] == min(costs) < max(costs)
-    # What was there before is among what was tried, so that nothing found is worse.
+    # The settings before are the first trial, so that nothing found is worse.
     before = {"target_gain": 0.1, "input_cost[0]": 1.0, "input_cost[1]": 1.0}
     assert trials[0].params == before
     assert trials[0].values[0] == found.before.objectives["cost"] >= min(costs)
@@ -112,7 +112,7 @@ def test_the_file_that_is_written_gives_the_settings_again(tmp_path):
     loaded = load_settings(Settings, "path_follower", file)
     before = flatten(load_settings(Settings, "path_follower", PAPER))
     assert flatten(loaded) == {**before, **values}
-    # Of two objectives, a front: no trial is better than one of it in both.
+    # Two objectives give a front: no trial is better than one of it in both.
     front = [trial.values for trial in found.front]
     for point, trial in itertools.product(front, tried(study)):
         assert not all(mine < his for mine, his in zip(trial.values, point, strict=True))

@@ -146,7 +146,7 @@ def test_what_the_results_depend_on_changes_the_digest(tmp_path):
     digests.append(sweep_of(tmp_path, text).digest)
     assert len(set(digests)) == 4
     assert sweep_of(tmp_path, "# a comment\n" + text).digest == digests[-1]
-    # What only says how results are shown does not.
+    # Entries that only change how results are shown do not.
     assert sweep_of(tmp_path, text + "objectives: [cross_track]\n").digest == digests[-1]
 
 
