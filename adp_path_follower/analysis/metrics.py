@@ -24,6 +24,17 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.nearest import best_place
 from adp_path_follower.core.safety.supervisor import State
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.criteria import (
+    APPROACHED_LEAST,
+    APPROACHED_SHARE,
+    SETTLED,
+    TRANSIENT,
+    TRANSIENT_SHARE,
+    has_approached,
+    is_settled,
+    time_to_stay,
+    transient,
+)
 from adp_path_follower.study.optimum.reference import (
     COST_HORIZON,
     cost_over_horizon,
@@ -31,9 +42,10 @@ from adp_path_follower.study.optimum.reference import (
     paper_optimum,
 )
 
-TRANSIENT = 10.0  # [s] after which the steady cross-track error counts
-SETTLED_SHARE = 0.05  # of the error at the start
-SETTLED_LEAST = 0.01  # [m]
+_STEADY = (
+    f"after the first {TRANSIENT:g} s, of a run shorter than {TRANSIENT / TRANSIENT_SHARE:.0f} s "
+    "after a third"
+)
 
 
 @dataclass(frozen=True)
@@ -73,19 +85,23 @@ METRICS = (
     Metric("path_covered", "m", "How far it came along the path", ""),
     *_statistics("cross_track", "the distance from the path", "m"),
     *_statistics("heading", "the angle to the path", "rad"),
-    Metric("steady_cross_track_rms", "m", f"Like cross_track_rms, after the first {TRANSIENT:g} s"),
-    Metric("steady_cross_track_max", "m", f"Like cross_track_max, after the first {TRANSIENT:g} s"),
+    Metric("steady_cross_track_rms", "m", f"Like cross_track_rms, {_STEADY}"),
+    Metric("steady_cross_track_max", "m", f"Like cross_track_max, {_STEADY}"),
     Metric(
         "settling_time",
         "s",
-        f"Until the distance stays below {100 * SETTLED_SHARE:g} % of that at the start, or "
-        f"{1000 * SETTLED_LEAST:g} mm",
+        f"Until the error [s, y, θ] to the virtual target stays below {SETTLED:g} in norm",
+    ),
+    Metric(
+        "approach_time",
+        "s",
+        f"Until the distance stays below {100 * APPROACHED_SHARE:g} % of that at the start, or "
+        f"{1000 * APPROACHED_LEAST:g} mm",
     ),
     Metric(
         "overshoot",
         "",
-        "How far it went to the other side before it settled, as a share of the distance at the "
-        "start",
+        "How far it went to the other side before that, as a share of the distance at the start",
     ),
     Metric("cost", "", f"J = ∫ eᵀQe + uᵀRu over the first {COST_HORIZON:g} s"),
     Metric("optimal_cost", "", "J* of the offline optimum from the same start", ""),
@@ -119,7 +135,7 @@ def measure_drive(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
     time = drive.odometry.time[driving]
     steps = np.diff(drive.odometry.values[driving, :2], axis=0)
     cross = np.abs(drive.projection.cross_track[driving])
-    steady = cross[time >= TRANSIENT]
+    steady = cross[time >= transient(drive.end)]
     values |= {
         "duration": float(drive.end),
         "distance": float(np.linalg.norm(steps, axis=1).sum()),
@@ -129,7 +145,8 @@ def measure_drive(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
         "steady_cross_track_rms": _rms(steady),
         "steady_cross_track_max": float(steady.max()) if len(steady) else math.nan,
         "messages": float(sum(drive.run.message_counts.values())),
-        **settling(time, drive.projection.cross_track[driving]),
+        "settling_time": _settling_time(drive),
+        **approach(time, drive.projection.cross_track[driving]),
         **_command_values(drive),
     }
     for key, name, statistic in (
@@ -143,20 +160,33 @@ def measure_drive(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
     return values | costs, notes
 
 
-def settling(time: FloatArray, cross_track: FloatArray) -> dict[str, float]:
-    """Return settling time [s] and overshoot of a distance [m] over time [s]."""
+def approach(time: FloatArray, cross_track: FloatArray) -> dict[str, float]:
+    """Return approach time [s] and overshoot of a distance [m] over time [s], shape (N,) each."""
+    found = {"approach_time": math.nan, "overshoot": math.nan}
     if not len(time):
-        return {"settling_time": math.nan, "overshoot": math.nan}
-    start = float(cross_track[0])
-    outside = np.flatnonzero(np.abs(cross_track) >= max(SETTLED_SHARE * abs(start), SETTLED_LEAST))
-    if not len(outside):
-        return {"settling_time": 0.0, "overshoot": math.nan}
-    settled = int(outside[-1]) + 1
-    other_side = float((-math.copysign(1.0, start) * cross_track[:settled]).max(initial=0.0))
-    return {
-        "settling_time": float(time[settled] - time[0]) if settled < len(time) else math.nan,
-        "overshoot": other_side / abs(start) if abs(start) >= SETTLED_LEAST else math.nan,
-    }
+        return found
+    inside, start = has_approached(cross_track), float(cross_track[0])
+    taken = time_to_stay(time, inside)
+    found["approach_time"] = taken if math.isfinite(taken) else math.nan
+    if abs(start) >= APPROACHED_LEAST:
+        before = cross_track[: np.flatnonzero(~inside)[-1] + 1]
+        other_side = float((-math.copysign(1.0, start) * before).max(initial=0.0))
+        found["overshoot"] = other_side / abs(start)
+    return found
+
+
+def _settling_time(drive: Drive) -> float:
+    """Return the settling time [s], NaN without a recorded error or where it does not settle."""
+    recorded = drive.learner.get("tracking_error")
+    if recorded is None:
+        return math.nan
+    chosen = (recorded.time >= 0.0) & (recorded.time <= drive.end)
+    if not chosen.any():
+        return math.nan
+    order = np.argsort(recorded.time[chosen], kind="stable")
+    settled = is_settled(recorded.values[chosen][order])
+    taken = time_to_stay(recorded.time[chosen][order], settled)
+    return taken if math.isfinite(taken) else math.nan
 
 
 def time_in_state(drive: Drive) -> dict[str, float]:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adp_path_follower.analysis.metrics import TRANSIENT
 from adp_path_follower.analysis.recorded_run import Drive, Timed, period_of
+from adp_path_follower.criteria import transient
 from adp_path_follower.drawing.charts import (
     Charts,
     Line,
@@ -141,13 +141,11 @@ def _track(drive: Drive, bags: int) -> Track:
 
 
 def _color_limit(drive: Drive) -> float:
-    """Return the distance from the path that 95 % of a run are below [m].
+    """Return the distance from the path that 95 % of a run after its transient are below [m].
 
     In the first seconds the robot may be hundreds of times farther away than later, which would
-    leave one colour for all the rest: where there is a rest that is as long, they do not count.
+    leave one colour for all the rest.
     """
-    chosen = drive.driving
-    if drive.end >= 2.0 * TRANSIENT:
-        chosen = chosen & (drive.odometry.time >= TRANSIENT)
+    chosen = drive.driving & (drive.odometry.time >= transient(drive.end))
     distance = np.abs(drive.projection.cross_track[chosen])
     return max(float(np.quantile(distance, 0.95)) if len(distance) else 0.0, _LEAST_DISTANCE)

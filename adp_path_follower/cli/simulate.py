@@ -27,6 +27,7 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.criteria import SETTLED
 from adp_path_follower.study.simulation.robot import without_nodes
 from adp_path_follower.study.simulation.simulate import (
     LEARNING_MODES,
@@ -196,7 +197,7 @@ def _table(result: SimulationResult) -> str:
             summary = f"median {median:.6f}, 95 % {high:.6f}, maximum {sound.max():.6f}"
         settled_count = int(np.isfinite(result.settling_time).sum())
         lines.append(
-            f"cost J: {summary}; {settled_count} of {count} settled to |e| < 0.05, "
+            f"cost J: {summary}; {settled_count} of {count} settled to |e| < {SETTLED:g}, "
             f"{int(result.failed.sum())} failed"
         )
     return "\n".join(lines)

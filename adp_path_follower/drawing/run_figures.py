@@ -13,9 +13,7 @@ from matplotlib.figure import Figure
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.drawing.figure_style import COLORS, STYLE
 
-_TRANSIENT = 15.0  # [s] that the left panels show
-
-
+_EARLY = 15.0  # [s] that the left panels show
 _START = 8.0  # [s] that the close-up of the path shows
 
 
@@ -160,7 +158,7 @@ def _against_optimum(
     values: FloatArray,
     optimum: tuple[FloatArray, FloatArray] | None,
 ) -> Figure:
-    """Draw columns over time: the transient on the left, the whole run on the right."""
+    """Draw columns over time: the first seconds on the left, the whole run on the right."""
     figure = Figure(figsize=(9.0, 4.5))
     early, whole = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
     circles: dict[str, Any] = {"marker": "o", "linestyle": "none", "markerfacecolor": "none"}
@@ -171,11 +169,11 @@ def _against_optimum(
             early.plot(optimum[0], optimum[1][:, column], color=COLORS[column], **circles)
     if optimum is not None:
         early.plot([], [], color="0.3", label="offline optimum", **circles)
-    early.set_xlim(0.0, min(_TRANSIENT, float(time[-1])))
+    early.set_xlim(0.0, min(_EARLY, float(time[-1])))
     early.set_title(title)
     early.legend()
     whole.set_title("whole run (logarithmic beyond ±0.001)")
-    # After the transient the errors are thousands of times smaller: a scale that shows both.
+    # Later the errors are thousands of times smaller: a scale that shows both.
     whole.set_yscale("symlog", linthresh=1e-3, linscale=0.5)
     for axes in (early, whole):
         axes.set_xlabel("time [s]")

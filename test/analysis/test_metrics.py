@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
 from adp_path_follower.analysis.events import MOST_EVENTS
-from adp_path_follower.analysis.metrics import METRICS, settling
+from adp_path_follower.analysis.metrics import METRICS, approach
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.path.nearest import project
@@ -41,9 +41,12 @@ def test_cross_track_of_a_sine(tmp_path):
     """A sine of amplitude A: RMS A/√2, mean 2A/π, 95 % below A sin(0.95 π/2)."""
     amplitude = 0.1
     found = analysed(
-        tmp_path, drive_on_line(lambda time: amplitude * math.sin(math.pi * time), heading=0.05)
+        tmp_path,
+        drive_on_line(
+            lambda time: amplitude * math.sin(math.pi * time), duration=30.0, heading=0.05
+        ),
     ).metrics
-    assert found["duration"] == pytest.approx(20.0)
+    assert found["duration"] == pytest.approx(30.0)
     assert found["cross_track_rms"] == pytest.approx(amplitude / math.sqrt(2.0), rel=1e-3)
     assert found["steady_cross_track_rms"] == pytest.approx(amplitude / math.sqrt(2.0), rel=1e-3)
     assert found["cross_track_mean"] == pytest.approx(2.0 * amplitude / math.pi, rel=1e-3)
@@ -54,7 +57,16 @@ def test_cross_track_of_a_sine(tmp_path):
     assert found["cross_track_max"] == pytest.approx(amplitude, rel=1e-6)
     for statistic in ("rms", "mean", "median", "p95", "max"):
         assert found[f"heading_{statistic}"] == pytest.approx(0.05)
-    assert found["path_covered"] == pytest.approx(10.0, abs=1e-6)
+    assert found["path_covered"] == pytest.approx(15.0, abs=1e-6)
+
+
+def test_a_short_run_is_steady_after_a_third(tmp_path):
+    def lateral(time: float) -> float:
+        return 0.3 if time < 4.0 else 0.01
+
+    found = analysed(tmp_path, drive_on_line(lateral, duration=12.0)).metrics
+    assert found["steady_cross_track_max"] == pytest.approx(0.01)
+    assert found["cross_track_max"] == pytest.approx(0.3)
 
 
 def test_commands_and_their_timing(tmp_path):
@@ -89,15 +101,21 @@ def test_latency_without_stamps_is_that_to_the_last_odometry(tmp_path):
     assert found["latency_p50"] == pytest.approx(0.003)
 
 
-def test_settling_and_overshoot():
+def test_without_a_virtual_target_no_settling_time_is_known(tmp_path):
+    found = analysed(tmp_path, drive_on_line(lambda time: 0.2 * math.exp(-time))).metrics
+    assert math.isnan(found["settling_time"])
+    assert found["approach_time"] == pytest.approx(math.log(20.0), abs=0.011)
+
+
+def test_approach_and_overshoot():
     time = np.linspace(0.0, 20.0, 20001)
-    found = settling(time, 0.4 * np.exp(-time))
-    assert found == {"settling_time": pytest.approx(math.log(20.0), abs=2e-3), "overshoot": 0.0}
+    found = approach(time, 0.4 * np.exp(-time))
+    assert found == {"approach_time": pytest.approx(math.log(20.0), abs=2e-3), "overshoot": 0.0}
     # The first and largest swing to the other side is half a period later.
-    found = settling(time, -0.4 * np.exp(-0.5 * time) * np.cos(np.pi * time))
+    found = approach(time, -0.4 * np.exp(-0.5 * time) * np.cos(np.pi * time))
     assert found["overshoot"] == pytest.approx(math.exp(-0.5), rel=0.02)
-    assert math.isnan(settling(time, np.full(len(time), 0.3))["settling_time"])
-    assert settling(time, np.full(len(time), 0.001))["settling_time"] == 0.0
+    assert math.isnan(approach(time, np.full(len(time), 0.3))["approach_time"])
+    assert approach(time, np.full(len(time), 0.001))["approach_time"] == 0.0
 
 
 def test_cost_beside_a_line_and_its_optimum(tmp_path):
@@ -123,6 +141,8 @@ def test_cost_beside_a_line_and_its_optimum(tmp_path):
 def test_the_learners_numbers_and_states(tmp_path):
     found = analysed(tmp_path, learner_run())
     assert found.metrics["excitation_min"] == pytest.approx(0.25, abs=1e-3)
+    # 0.2 exp(-t) m beside its target at 50 Hz
+    assert found.metrics["settling_time"] == pytest.approx(math.log(4.0), abs=0.021)
     assert found.metrics["bellman_error_rms"] == pytest.approx(
         0.1 * math.sqrt((1.0 - math.exp(-24.0)) / 24.0), rel=0.02
     )
@@ -164,7 +184,7 @@ def test_a_thousand_paths_hide_no_fault(tmp_path):
 
 @pytest.mark.parametrize(
     ("duration", "expected"),
-    [(20.0, 0.01 * math.sin(0.475 * math.pi)), (15.0, 0.5)],
+    [(20.0, 0.01 * math.sin(0.475 * math.pi)), (6.0, 0.5)],
     ids=["most of it on the path", "too short to tell"],
 )
 def test_the_colours_of_the_track_are_for_what_it_is_like_after_the_start(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adp_path_follower import criteria
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
@@ -22,9 +23,7 @@ from adp_path_follower.study.simulation.simulate import PAPER_START, SimulationR
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings
 
-_TRANSIENT = 10.0  # [s] after which the lap counts
 _LONGEST_LAP = 300.0  # [s] of a lap, or of an open path
-_OFF_PATH = 0.5  # [m] from the path at the end: that run has failed
 
 
 @dataclass(frozen=True)
@@ -175,7 +174,8 @@ def _lap(path: Path, start_arc_length: float, speed: float) -> float:
     """Return how long a robot drives [s] for a lap after the transient, or to the path's end."""
     length = path.length if path.closed else path.length - start_arc_length
     lap = min(length / speed, _LONGEST_LAP)
-    return _TRANSIENT + lap if path.closed else max(min(length / speed, _TRANSIENT + lap), 1.0)
+    whole = criteria.TRANSIENT + lap
+    return whole if path.closed else max(min(length / speed, whole), 1.0)
 
 
 def _optima(
@@ -247,10 +247,10 @@ def _outcome(
     many = run(starts[known], duration, False, 0.0)
     single = run(np.array([PAPER_START]), lap, True, 0.5)
     assert single.trajectories is not None  # record=True
-    counted = single.trajectories.time >= _TRANSIENT
+    counted = single.trajectories.time >= criteria.TRANSIENT
     if not path.closed:
         counted &= single.trajectories.arc_length[0] <= path.length
-    off_path = np.abs(many.final_error[:, 1]) > _OFF_PATH
+    off_path = criteria.is_off_path(many.final_error[:, 1])
     failed = np.zeros(len(starts), dtype=bool)
     failed[known] = many.failed | off_path | ~np.isfinite(many.cost)
     cost = of_all(many.cost)

@@ -10,12 +10,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from adp_path_follower import criteria
 from adp_path_follower.core.control.cost import MotionCost
 from adp_path_follower.core.control.interface import Controller, ControlOutput
 from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import FloatArray, pose_in_frame
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
@@ -31,7 +32,6 @@ from sim_unicycle.unicycle import Unicycle
 
 PAPER_START = (-0.5, 0.25, -math.pi / 6.0)
 LEARNING_MODES = ("cold", "warm", "frozen")
-SETTLED_ERROR = 0.05  # |e| below which a run counts as settled
 
 # Makes a controller for a batch of robots, of settings, path and each robot's arc length (B,) [m].
 ControllerFactory = Callable[[Settings, Path, FloatArray], Controller]
@@ -56,7 +56,8 @@ class SimulationResult:
         cost: J over the run, integrated along the true motion, shape (B,).
         effort: The inputs' part of it, the integral of u^T R u by control steps, shape (B,).
         final_error: e at the end, shape (B, 3).
-        settling_time: Time after which |e| stays below 0.05 [s], infinite where it does not (B,).
+        settling_time: Time after which |e| of the true pose stays below 0.05 [s], infinite where it
+            does not, shape (B,); see `criteria`.
         max_inputs: Largest |v| and |w| commanded, shape (B, 2).
         weights: Weights at the end, shape (B, L) each; L = 0 for controllers without.
         excitation: Smallest value of the certificate during the run, shape (B,); NaN for
@@ -249,7 +250,8 @@ class _ClosedLoop:
             step_times[step] = time.perf_counter() - begun
             distance = np.sqrt(np.einsum("bi,bi->b", output.error, output.error))
             command = self._checked_command(output, distance)
-            last_outside[~(distance < SETTLED_ERROR)] = step
+            error = tracking_error(self._robot.pose, output.target_pose)
+            last_outside[~criteria.is_settled(error)] = step
             note(step, output, self._robot.pose)
             if step % max(1, round(_REPORT_PERIOD / period)) == 0:
                 report(step / (steps + 1))

@@ -29,7 +29,7 @@ MEASURES: tuple[tuple[str, str, str], ...] = (
     ("effort", "", "∫ uᵀRu"),
     ("cross_track_rms", "m", "RMS distance from the path after the transient"),
     ("cross_track_max", "m", "Greatest distance from the path after the transient"),
-    ("settling_time", "s", "Until distance and angle to the path stay below 0.05 together"),
+    ("settling_time", "s", "Until the error to the virtual target stays below 0.05"),
     ("excitation", "", "Smallest certificate of excitation; NaN where nothing learns"),
 )
 

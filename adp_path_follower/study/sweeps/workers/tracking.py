@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adp_path_follower import criteria
 from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.nearest import beside
 
-TRANSIENT = 10.0  # [s] after which the distance from the path counts, of runs that are longer
-SETTLED = 0.05  # of the distance [m] and the angle [rad] to the path together
-ON_PATH = 0.5  # [m] from the path, at most, at the end of a stable run
 _LAST_SHARE = 0.2  # of a run: its end
 _SAMPLING = 0.05  # [s] between two looks
 _LONGEST_STEP = 0.5  # [m] of the search for the place abreast, which starts at the target's
@@ -27,8 +25,8 @@ class Tracking:
     Attributes:
         cross_track_rms: Of the distance from the path after the transient [m], shape (B,).
         cross_track_max: Greatest distance then [m], shape (B,).
-        settling_time: Until distance and angle together stay below 0.05 [s], infinite where they
-            do not, shape (B,).
+        settling_time: Until |e| to the virtual target stays below 0.05 [s], infinite where it does
+            not, shape (B,).
         ends_on_path: Whether the run stays within 0.5 m of the path, and within a right angle of
             its direction, over the last fifth of its time, shape (B,).
 
@@ -48,8 +46,7 @@ class TrackingMeter:
         self._path = path
         self._stride = max(1, round(_SAMPLING / period))
         self._period = period
-        # The lap counts where there is one; of a short run the last two thirds.
-        self._counted_from = min(TRANSIENT, duration / 3.0)
+        self._counted_from = criteria.transient(duration)
         self._end_from = (1.0 - _LAST_SHARE) * duration
         self._count = 0
         self._squares = np.zeros(runs)
@@ -63,18 +60,18 @@ class TrackingMeter:
         if round(time / self._period) % self._stride:
             return
         with np.errstate(all="ignore"):  # runs that are lost may be anywhere
+            error = tracking_error(pose, output.target_pose)
             place = beside(self._path, pose, output.arc_length, _LONGEST_STEP)
         distance, angle = place.cross_track, place.heading
-        off = ~(np.hypot(distance, angle) < SETTLED)
-        self._unsettled[runs][off] = time
+        self._unsettled[runs][~criteria.is_settled(error)] = time
         self._last_time = max(self._last_time, time)
         if time >= self._counted_from:
             self._squares[runs] += distance**2
             self._largest[runs] = np.maximum(self._largest[runs], np.abs(distance))
             self._count += runs.start == 0
         if time >= self._end_from:
-            near = (np.abs(distance) <= ON_PATH) & (np.abs(angle) <= 0.5 * math.pi)
-            self._ends_on_path[runs] &= near
+            near = np.abs(angle) <= 0.5 * math.pi
+            self._ends_on_path[runs] &= near & ~criteria.is_off_path(distance)
 
     def result(self) -> Tracking:
         """Return what was seen."""

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from adp_path_follower.core.geometry import tracking_error
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.path.nearest import project
 from adp_path_follower.core.settings.groups import Settings
@@ -103,8 +104,8 @@ def test_settling_is_of_the_true_motion_and_ends_below_the_limit():
             record=True,
         ).trajectories
         assert single is not None
-        true = project(named_path("circle:0.5"), single.pose[0])
-        size = np.hypot(true.cross_track, true.heading)
+        target = named_path("circle:0.5").frame(single.arc_length[0]).pose
+        size = np.linalg.norm(tracking_error(single.pose[0], target), axis=1)
         last = single.time[np.flatnonzero(size >= 0.05)[-1]]
         assert last < found["settling_time"][row] <= last + 0.1
 
@@ -174,6 +175,7 @@ def test_the_observer_sees_every_run_at_every_step():
 @dataclasses.dataclass
 class _Output:
     arc_length: np.ndarray
+    target_pose: np.ndarray
 
 
 def test_the_end_of_a_run_decides_whether_it_is_stable():
@@ -192,7 +194,8 @@ def test_the_end_of_a_run_decides_whether_it_is_stable():
             ]
         )
         place = np.array([x, x, 50.0 - x, x, x])
-        meter.observe(slice(0, 128), time, pose, _Output(place))
+        target = named_path("line").frame(place).pose
+        meter.observe(slice(0, 128), time, pose, _Output(place, target))
     found = meter.result()
     assert found.ends_on_path.tolist() == [True, False, False, False, True]
     assert found.settling_time[0] == pytest.approx(2.0, abs=0.11)

@@ -1,0 +1,68 @@
+"""When a run has settled, is past its transient, or is off the path: one definition of each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+
+SETTLED = 0.05  # norm of e = [s, y, theta] [m, m, rad]
+TRANSIENT = 10.0  # [s]
+TRANSIENT_SHARE = 1.0 / 3.0  # of a shorter run
+OFF_PATH = 0.5  # [m]
+APPROACHED_SHARE = 0.05  # of the distance from the path at the start
+APPROACHED_LEAST = 0.01  # [m]
+
+
+def is_settled(error: FloatArray) -> np.ndarray:
+    """Return where |e| to the virtual target is below 0.05, shape (...).
+
+    Args:
+        error: e = [s, y, theta], shape (..., 3); what is not finite has not settled.
+
+    """
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", error, error)) < SETTLED)
+
+
+def is_off_path(distance: FloatArray) -> np.ndarray:
+    """Return where a distance from the path [m] is above 0.5 m or not finite, same shape."""
+    return ~(np.abs(distance) <= OFF_PATH)
+
+
+def transient(duration: float) -> float:
+    """Return how long the transient of a run takes [s]: 10 s, or a third of a shorter run.
+
+    Steady errors count from then on.
+
+    Args:
+        duration: Of the run [s].
+
+    """
+    return min(TRANSIENT, TRANSIENT_SHARE * duration)
+
+
+def has_approached(distance: FloatArray) -> np.ndarray:
+    """Return where a robot is on the path, measured by its distance at the start, shape (N,).
+
+    There it is below 5 % of the first distance, or 10 mm. Unlike `is_settled` this needs no virtual
+    target, so runs of any controller have it.
+
+    Args:
+        distance: From the path over time [m], shape (N,).
+
+    """
+    first = float(np.abs(distance[0])) if len(distance) else 0.0
+    return np.asarray(np.abs(distance) < max(APPROACHED_SHARE * first, APPROACHED_LEAST))
+
+
+def time_to_stay(time: FloatArray, inside: np.ndarray) -> float:
+    """Return the time from the start [s] after which a run stays inside, infinite if it does not.
+
+    Args:
+        time: Time of each sample [s], shape (N,), N at least 1.
+        inside: Whether the run is inside then, shape (N,).
+
+    """
+    outside = np.flatnonzero(~inside)
+    first = int(outside[-1]) + 1 if len(outside) else 0
+    return float(time[first] - time[0]) if first < len(time) else float("inf")
