@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -9,7 +10,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from adp_path_follower.analysis.events import Event, events_of
-from adp_path_follower.analysis.metrics import measure_drive, time_in_state, with_states
+from adp_path_follower.analysis.metrics import METRICS, measure_drive, time_in_state, with_states
 from adp_path_follower.analysis.recorded_run import Drive, drive_of
 from adp_path_follower.analysis.run_charts import charts_of
 from adp_path_follower.bags.reader import read_run
@@ -50,6 +51,24 @@ class BagAnalysis:
     def numbers(self) -> dict[str, float]:
         """Return all numbers that a requirement can name."""
         return with_states(self.metrics, self.states)
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return a number as people read it, a dash for one that is not known."""
+    if not math.isfinite(value):
+        return "–"
+    return f"{value:.0f}" if value == round(value) and abs(value) < 1e9 else f"{value:.{digits}g}"
+
+
+def metrics_table(analyses: Sequence[BagAnalysis]) -> str:
+    """Return the metrics of bags side by side, as a text for the terminal."""
+    width = max(12, *(len(item.name) for item in analyses))
+    lines = [f"{'':26}" + "".join(f"{item.name:>{width + 2}}" for item in analyses)]
+    for metric in METRICS:
+        texts = [number(item.metrics[metric.name], 6) for item in analyses]
+        cells = "".join(f"{text:>{width + 2}}" for text in texts)
+        lines.append(f"{metric.name:26}{cells}  {metric.unit}".rstrip())
+    return "\n".join(lines)
 
 
 def names_of(bags: Sequence[FilePath]) -> list[str]:

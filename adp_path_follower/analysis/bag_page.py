@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from adp_path_follower.analysis.bag_analysis import BagAnalysis
+from adp_path_follower.analysis.bag_analysis import BagAnalysis, number
 from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.page_figures import motions, page_figures
 from adp_path_follower.drawing.charts import Charts
@@ -136,13 +136,6 @@ def _scales() -> dict[str, list[tuple[float, str]]]:
         theme: list(zip(np.linspace(0.0, 1.0, len(colors)).tolist(), colors, strict=True))
         for theme, colors in DISTANCE_SCALES.items()
     }
-
-
-def number(value: float) -> str:
-    """Return a number as people read it."""
-    if not math.isfinite(value):
-        return "–"
-    return f"{value:.0f}" if value == round(value) and abs(value) < 1e9 else f"{value:.4g}"
 
 
 def _rows(analyses: Sequence[BagAnalysis]) -> list[_Row]:

@@ -61,7 +61,7 @@ def analyze(
     trajectory.tum, which the tool evo reads. Exit code 1 if a requirement is not met.
     """
     require("adp analyze", "report")
-    from adp_path_follower.analysis.bag_analysis import analyse_bag, names_of
+    from adp_path_follower.analysis.bag_analysis import analyse_bag, metrics_table, names_of
     from adp_path_follower.analysis.bag_page import write_report
     from adp_path_follower.analysis.bag_pngs import draw_bags
     from adp_path_follower.analysis.metrics import parse_requirement
@@ -80,7 +80,7 @@ def analyze(
         draw_bags(analyses, directory / "figures")
         write_json(directory / "metrics.json", _numbers(analyses, limits))
         write_report(analyses, limits, directory / "report.html")
-    click.echo(_table(analyses))
+    click.echo(metrics_table(analyses))
     for note in dict.fromkeys(f"{item.name}: {note}" for item in analyses for note in item.notes):
         click.echo(f"adp: {note}", err=True)
     missed = _missed(analyses, limits)
@@ -121,16 +121,3 @@ def _numbers(analyses: list[BagAnalysis], limits: list[Requirement]) -> dict[str
             for limit in limits
         ],
     }
-
-
-def _table(analyses: list[BagAnalysis]) -> str:
-    """Return the numbers as people read them."""
-    from adp_path_follower.analysis.bag_page import number
-    from adp_path_follower.analysis.metrics import METRICS
-
-    width = max(12, *(len(item.name) for item in analyses))
-    lines = [f"{'':26}" + "".join(f"{item.name:>{width + 2}}" for item in analyses)]
-    for metric in METRICS:
-        cells = "".join(f"{number(item.metrics[metric.name]):>{width + 2}}" for item in analyses)
-        lines.append(f"{metric.name:26}{cells}  {metric.unit}".rstrip())
-    return "\n".join(lines)

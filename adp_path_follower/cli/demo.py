@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from datetime import datetime
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -20,6 +19,7 @@ from adp_path_follower.cli.options import (
     simulator_options,
 )
 from adp_path_follower.cli.outputs import new_directory, write_json
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.path.nearest import best_place
@@ -29,6 +29,9 @@ from adp_path_follower.extras import require
 from adp_path_follower.study.simulation.simulate import PAPER_START
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.settings import SimulatorSettings
+
+if TYPE_CHECKING:
+    from adp_path_follower.analysis.bag_analysis import BagAnalysis
 
 
 @click.command()
@@ -64,7 +67,8 @@ def demo(
     Starts the controller, the unicycle simulator, the path publisher and the recorder as
     processes on a ROS domain of their own, in simulated time and in lock-step: as fast as this
     machine can, and with the same commands on every machine. Then it draws the paper's figures 2
-    to 5 from the bag and prints a summary.
+    to 5 from the bag, writes its page and prints its numbers as `adp analyze` does, and says how
+    many commands PathFollower repeats exactly.
 
     \b
     The recommended settings:        adp demo
@@ -141,31 +145,54 @@ def _run(
 
 
 def _report(bag: FilePath, directory: FilePath, duration: float, wall_time: float) -> None:
-    """Draw, measure, write and print what happened."""
+    """Analyse the bag as `adp analyze` does, draw the paper's figures, and print the numbers."""
+    from adp_path_follower.analysis.bag_analysis import analyse_bag, metrics_table
     from adp_path_follower.bags.reader import read_run
     from adp_path_follower.drawing.run_figures import draw_figures
-    from adp_path_follower.study.demo.metrics import measure
-    from adp_path_follower.study.demo.summary import summary_markdown, summary_table
-    from adp_path_follower.study.optimum.reference import paper_optimum
+    from adp_path_follower.study.optimum.reference import is_paper_problem, paper_optimum
     from adp_path_follower.study.replay.figures import view_of_replay
     from adp_path_follower.study.replay.replay import replay
 
     click.echo("reading the bag and drawing the figures")
+    analysis = analyse_bag(bag, {}, 1, directory / "trajectory.tum", title="demo")
     run = read_run(bag)
     replayed = replay(run)
-    metrics = measure(run, replayed)
-    known = math.isfinite(metrics.optimal_cost)
+    first, follower = replayed.outputs[0], replayed.follower
+    known = is_paper_problem(follower.settings, follower.path, float(first.arc_length), first.error)
     view = view_of_replay(run, replayed)
-    figures = draw_figures(view, directory / "figures", paper_optimum() if known else None)
-    summary = {**dataclasses.asdict(metrics), "cost_ratio": metrics.cost_ratio}
-    summary |= {"wall_time": wall_time, "real_time_factor": duration / wall_time}
+    draw_figures(view, directory / "figures", paper_optimum() if known else None)
+    written = "figures/, bag/ (rosbag2, MCAP), summary.json, trajectory.tum, logs/"
+    if _write_page(analysis, directory / "report.html"):
+        written = f"report.html, {written}"
+    commands, identical = len(replayed.outputs), int(replayed.identical.sum())
+    control_rate = (commands - 1) / float(view.time[-1]) if view.time[-1] > 0.0 else math.nan
+    summary = {
+        **analysis.metrics,
+        "commands": commands,
+        "identical_commands": identical,
+        "control_rate": control_rate,
+        "wall_time": wall_time,
+        "real_time_factor": duration / wall_time,
+    }
     write_json(directory / "summary.json", summary)
-    (directory / "report.md").write_text(
-        summary_markdown(metrics, [file.relative_to(directory) for file in figures]),
-        encoding="utf-8",
-    )
-    click.echo(summary_table(metrics))
+    click.echo(metrics_table([analysis]))
+    for note in analysis.notes:
+        click.echo(f"adp: {note}", err=True)
     click.echo(
-        f"\n{duration:g} s of simulated time took {wall_time:.0f} s. In {directory}: report.md, "
-        f"figures/, bag/ (rosbag2, MCAP), summary.json, logs/"
+        f"\nPathFollower repeats {identical} of {commands} commands exactly from the recorded "
+        f"odometry, {control_rate:.1f} per simulated second.\n{duration:g} s of simulated time "
+        f"took {wall_time:.0f} s. In {directory}: {written}"
     )
+
+
+def _write_page(analysis: BagAnalysis, file: FilePath) -> bool:
+    """Write the page of `adp analyze`; return whether the libraries that it needs are there."""
+    try:
+        require("report.html", "report")
+    except AdpError as missing:
+        click.echo(f"adp: {missing}", err=True)
+        return False
+    from adp_path_follower.analysis.bag_page import write_report
+
+    write_report([analysis], [], file)
+    return True

@@ -19,6 +19,8 @@ from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from adp_path_follower.analysis.bag_analysis import analyse_bag
+from adp_path_follower.analysis.metrics import METRICS
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous, named_path
@@ -210,6 +212,7 @@ def _demo(folder: FilePath, *arguments: str, **environment: str) -> FilePath:
         timeout=120,
     )
     assert done.returncode == 0, done.stderr
+    (folder / "printed").write_text(done.stdout, encoding="utf-8")
     (directory,) = folder.glob("adp_demo_*")
     return directory
 
@@ -229,5 +232,11 @@ def test_the_command_replays_whatever_threads_the_user_allows(tmp_path):
     assert content["commands"] == content["identical_commands"] == 301
     for name in ("2_path", "3_states", "4_controls", "5_weights"):
         assert (directory / "figures" / f"figure_{name}.png").stat().st_size > 10_000
-    report = (directory / "report.md").read_text()
-    assert "| commands repeated exactly | 301 of 301 |" in report
+    page = (directory / "report.html").read_text(encoding="utf-8")
+    assert "<title>Run report: demo</title>" in page
+    printed = (tmp_path / "printed").read_text(encoding="utf-8")
+    assert "\nPathFollower repeats 301 of 301 commands exactly" in printed
+    analysis = analyse_bag(directory / "bag", {}, 1, tmp_path / "trajectory.tum")
+    assert {metric.name: content[metric.name] for metric in METRICS} == {
+        name: value if np.isfinite(value) else None for name, value in analysis.metrics.items()
+    }
