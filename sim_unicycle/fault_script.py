@@ -140,7 +140,7 @@ def _entry(entry: object) -> FaultEntry:
         field = _FIELDS.get(str(key))
         if field is None:
             near = difflib.get_close_matches(str(key), (*_CHANGEABLE, *_TIMES), n=1)
-            hint = f"did you mean '{near[0]}'?" if near else "docs/parameters.md lists them"
+            hint = f"did you mean '{near[0]}'?" if near else "`adp docs parameters` lists them"
             raise SettingsError(f"'{key}' is no parameter of the simulator; {hint}")
         if field.spec.read_only:
             raise SettingsError(f"'{key}' cannot change while running: {field.spec.read_only}")

@@ -190,3 +190,33 @@ def test_notation_names_things_that_exist():
     assert len(names) > 30
     for name in names:
         assert re.search(rf"\b{re.escape(name.split('.')[-1].rstrip('()'))}\b", source), name
+
+
+def test_messages_name_pages_that_there_are():
+    """A pip installation has no folder docs/: messages say `adp docs PAGE` instead."""
+    files = [
+        file
+        for folder in ("adp_path_follower", "sim_unicycle", "config", "launch")
+        for file in (ROOT / folder).rglob("*")
+        if file.suffix in (".py", ".yaml")
+    ]
+    pages = {file.stem for file in (ROOT / "docs").glob("*.md")}
+    named = 0
+    for file in files:
+        text = file.read_text(encoding="utf-8")
+        for page in re.findall(r"adp\s+docs\s+(\w+)", text):
+            assert page in pages, f"{file.name}: adp docs {page}"
+            named += 1
+    assert named > 5
+
+
+def test_the_command_prints_the_pages():
+    from commands import adp
+
+    listed = adp("docs")
+    assert listed.stdout.split() == sorted(file.stem for file in (ROOT / "docs").glob("*.md"))
+    page = adp("docs", "sweeps")
+    assert page.stdout == (ROOT / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    refused = adp("docs", "sweep")
+    assert refused.returncode == 2
+    assert "unknown page 'sweep'; did you mean 'sweeps'?" in refused.stderr

@@ -22,7 +22,14 @@ GROUND = (f"{A}", f"{A}.threads", f"{A}.criteria", f"{A}.resources", f"{A}.extra
 # Bottom up. A module belongs to the longest prefix that it has; it may import its own place and
 # the places below. A tuple holds places side by side, which may not import one another.
 CORE_ORDER = [
-    (f"{A}.core.errors", f"{A}.core.geometry", f"{A}.core.files", f"{A}.core.basis"),
+    (
+        f"{A}.core.errors",
+        f"{A}.core.geometry",
+        f"{A}.core.files",
+        f"{A}.core.basis",
+        f"{A}.core.registry",
+        f"{A}.core.own_basis",
+    ),
     (f"{A}.core.settings",),
     (f"{A}.core.path", f"{A}.core.safety"),
     (f"{A}.core.control",),
@@ -44,6 +51,7 @@ ORDER = [
     ("sim_unicycle",),
     *STUDY_ORDER,
     (f"{A}.analysis",),
+    (f"{A}.front",),
     (f"{A}.cli",),
 ]
 # The ground of core is one place: errors below, geometry and files and basis upon it.

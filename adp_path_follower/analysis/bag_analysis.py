@@ -47,6 +47,15 @@ class BagAnalysis:
     used: Mapping[str, str]
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        """Return the chief numbers in one line."""
+        metrics = self.metrics
+        return (
+            f"BagAnalysis({self.name}: {metrics['duration']:.1f} s, {metrics['distance']:.1f} m, "
+            f"cross-track RMS {1e3 * metrics['cross_track_rms']:.2f} mm, J {metrics['cost']:.6g}, "
+            f"{len(self.events)} events)"
+        )
+
     @property
     def numbers(self) -> dict[str, float]:
         """Return all numbers that a requirement can name."""
@@ -97,7 +106,7 @@ def analyse_bag(
     bag: FilePath,
     names: Mapping[str, str],
     bags: int,
-    trajectory: FilePath,
+    trajectory: FilePath | None,
     progress: Callable[[float], None] | None = None,
     title: str | None = None,
 ) -> BagAnalysis:
@@ -107,7 +116,7 @@ def analyse_bag(
         bag: A rosbag2 directory, or one of its files.
         names: "odom", "cmd_vel" or "path" -> the topic to take for it.
         bags: How many bags share the figures.
-        trajectory: File for the trajectory, as the tool evo reads it.
+        trajectory: File for the trajectory, as the tool evo reads it; None writes none.
         progress: Called with the fraction done.
         title: What the bag is called; by default, the name of its directory or file.
 
@@ -117,7 +126,8 @@ def analyse_bag(
     """
     drive = drive_of(bag, read_run(bag, names, progress))
     metrics, notes = measure_drive(drive)
-    _write_tum(drive, trajectory)
+    if trajectory is not None:
+        _write_tum(drive, trajectory)
     events, left_out = events_of(drive)
     settings = {} if drive.settings is None else flatten(drive.settings)
     return BagAnalysis(

@@ -27,14 +27,14 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.study.comparison.controllers import CONTROLLERS
+from adp_path_follower.resources import FORTY_STARTS
+from adp_path_follower.study.comparison.controllers import known_controllers
 from adp_path_follower.study.simulation.robot import without_nodes
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.inf")
-_FORTY_STARTS = FilePath(__file__).parents[1] / "data" / "forty_starts.csv"
 
 
 @click.command()
@@ -97,10 +97,10 @@ def compare(
     Exit code 1 if some start has no known optimum; it is named, and counts in all but J/J*.
     """
     if list_them:
-        for name, description in CONTROLLERS.items():
+        for name, description in known_controllers().items():
             click.echo(f"{name:30} {description}")
         return
-    names = list(CONTROLLERS)
+    names = list(known_controllers())
     if controllers is not None:
         names = [name.strip() for name in controllers.split(",")]
     changes = (*_UNLIMITED, *assignments) if unlimited else assignments
@@ -109,7 +109,7 @@ def compare(
     if starts or starts_file is not None:
         errors = collect_starts(starts, starts_file)
     else:
-        errors = np.asarray(read_csv_columns(_FORTY_STARTS, ("s", "y", "theta")))
+        errors = np.asarray(read_csv_columns(FORTY_STARTS, ("s", "y", "theta")))
     paths = {name: named_path(name, settings.path) for name in path_names or ("lissajous",)}
     directory = directory or FilePath(datetime.now().strftime("adp_compare_%Y_%m_%d-%H_%M_%S"))
     problems = []

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
+from pathlib import Path as FilePath
 from typing import Any
 
 import click
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.registry import PLUGINS, load_plugins
+from adp_path_follower.resources import docs_page, docs_pages
 from adp_path_follower.threads import use_one_blas_thread
 
 _COMMANDS = {
     "analyze": "Turn the bags of runs into one report.",
     "compare": "Compare the controller with its peers, and all with the offline optimum.",
     "demo": "Drive the paper's figure eight with real ROS 2 nodes.",
+    "docs": "Print a page of the documentation.",
     "optimum": "Find what the best controller would cost, by offline optimal control.",
     "paper": "Reproduce the paper's figures, and what they do not show.",
     "parameters": "Show the parameters, as a YAML file or as a table.",
@@ -38,6 +43,8 @@ class _LazyGroup(click.Group):
         return list(_COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name == "docs":
+            return docs
         if cmd_name not in _COMMANDS:
             return None
         module = importlib.import_module(f"adp_path_follower.cli.{cmd_name}")
@@ -60,16 +67,40 @@ def _mark_examples(command: click.Command) -> None:
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="adp")
-def adp() -> None:
+@click.option(
+    "--plugin",
+    "plugins",
+    multiple=True,
+    metavar="MODULE|FILE.py",
+    help="Import what registers a basis, a far policy or a peer of your own; may be given several "
+    "times. For nodes, set ADP_PLUGINS to the same, with commas between.",
+)
+def adp(plugins: tuple[str, ...]) -> None:
     r"""Follow paths with a unicycle robot by online approximate optimal control.
 
     \b
     See it:          adp demo
-    Try a setting:   adp simulate --params config/paper.yaml --set actor_gain=2
+    Try a setting:   adp simulate --params paper --set actor_gain=2
     What is there:   adp parameters
 
     Every command answers to --help.
     """
+    if plugins:  # also for the nodes and workers that a command starts, wherever they run
+        given = [
+            str(FilePath(name).resolve()) if name.endswith(".py") else name for name in plugins
+        ]
+        os.environ[PLUGINS] = ",".join([*given, os.environ.get(PLUGINS, "")])
+        load_plugins()
+
+
+@click.command()
+@click.argument("page", required=False)
+def docs(page: str | None) -> None:
+    """Print a page of the documentation; without PAGE, name the pages."""
+    if page is None:
+        click.echo("\n".join(docs_pages()))
+    else:
+        click.echo(docs_page(page).read_text(encoding="utf-8"), nl=False)
 
 
 def main() -> None:

@@ -117,7 +117,7 @@ def optimum(
     click.echo(_table(rows, check))
     if speed_varies(path, settings):
         click.echo(
-            "v_des varies along this path, but the optimum has a constant one (docs/paths.md)"
+            "v_des varies along this path, but the optimum has a constant one (adp docs paths)"
         )
     problems = [row.problem for row in rows if row.problem]
     for text in problems:

@@ -15,6 +15,7 @@ from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.library import PATH_HELP
 from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.resources import parameter_file
 from adp_path_follower.study.simulation.simulate import PAPER_START
 from sim_unicycle.settings import SimulatorSettings
 
@@ -22,6 +23,20 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 FILE = click.Path(path_type=FilePath)
+
+
+class _Parameters(click.ParamType):
+    """A parameter file, or the name of one that comes with the package."""
+
+    name = "parameters"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> FilePath:
+        return parameter_file(value) if isinstance(value, str) else FilePath(value)
+
+
+_PARAMETERS = _Parameters()
 
 
 _TOPICS = {"odom": "odom", "cmd": "cmd_vel", "path": "path"}  # option -> what a topic is read as
@@ -38,9 +53,10 @@ def settings_options(command: Command) -> Command:
     )(command)
     return click.option(
         "--params",
-        type=FILE,
-        metavar="FILE",
-        help="Parameter file: what `ros2 run ... --params-file` takes.",
+        type=_PARAMETERS,
+        metavar="NAME|FILE",
+        help="Parameters: default, paper, turtlebot4, diff_drive or late_robot, or a file such as "
+        "`ros2 run ... --params-file` takes.",
     )(command)
 
 
@@ -56,7 +72,7 @@ def simulator_options(command: Command) -> Command:
     )(command)
     return click.option(
         "--sim-params",
-        type=FILE,
+        type=_PARAMETERS,
         metavar="FILE",
         help="Parameter file with a section for unicycle_sim: how the simulated robot is.",
     )(command)

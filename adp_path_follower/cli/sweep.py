@@ -41,7 +41,7 @@ def sweep(
     Run it, or go on:   adp sweep config/sweeps/paper_gains.yaml --out gains
     On a Dask cluster:  adp sweep SWEEP.yaml --out DIR --scheduler tcp://host:8786
 
-    docs/sweeps.md explains SWEEP.yaml. Writes the runs as Parquet files, one after the other: an
+    `adp docs sweeps` explains SWEEP.yaml. Writes the runs as Parquet files, one after the other: an
     interrupted sweep goes on where it was when the same command is given again. At the end,
     report.html (heat maps and the Pareto front) and best.yaml (the best settings).
     """

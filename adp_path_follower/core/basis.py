@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import functools
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray, components, cos, numbers, sin
+from adp_path_follower.core.registry import Registry
 
 STATE_LABELS = ("s", "y", "θ", "φ")
 Numbers = tuple[FloatArray, ...]  # of shape (...) each, or of one robot
@@ -293,7 +296,10 @@ class HalfAngleBasis:
     @property
     def labels(self) -> tuple[str, ...]:
         """Return the name of each term, length L, such as "a b" or "b² θ"."""
-        return tuple(label.replace("s", "a").replace("y", "b") for label in self._basis.labels)
+        return tuple(
+            re.sub(r"(?<![a-z])[sy](?![a-z])", lambda found: "ab"[found[0] == "y"], label)
+            for label in self._basis.labels
+        )
 
     @property
     def depends_on_path_state(self) -> bool:
@@ -338,22 +344,26 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of the polynomial's
 _SUPERSCRIPTS = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
 
 BASES = ("paper", "paper_misprinted", "polynomial")
+OWN_BASES: Registry[Callable[[], Basis]] = Registry("basis", BASES)  # of `register_basis`
 FRAMES = ("serret_frenet", "half_angle")
 
 
 @functools.cache
 def make_basis(name: str, degree: int, frame: str) -> Basis:
-    """Return a basis by its name in `BASES`, in a frame of `FRAMES`.
+    """Return a basis by its name in `BASES` or `OWN_BASES`, in a frame of `FRAMES`.
 
     Args:
-        name: "paper" is the paper's with its last three terms as squares (docs/method.md, erratum
-            1), "paper_misprinted" the one that is printed, to show that it leaves the path.
+        name: "paper" is the paper's with its last three terms as squares (erratum 1 of
+            `adp docs method`), "paper_misprinted" the printed one, which leaves the path.
         degree: Highest degree of "polynomial".
         frame: The coordinates of the position error.
 
     """
     basis: Basis
-    if name == "polynomial":
+    own = None if name in BASES else OWN_BASES.find(name)
+    if own is not None:
+        basis = own()
+    elif name == "polynomial":
         basis = PolynomialBasis(degree)
     elif name == "paper":
         basis = QuadraticBasis(products=(*_CROSS_TERMS, (0, 0), (1, 1), (2, 2)))

@@ -2,13 +2,65 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Protocol
+
 import numpy as np
 
 from adp_path_follower.core.control.fallback import RiccatiPolicy
 from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.learning import OWN_FAR_POLICIES, WIDE_REGIONS
+from adp_path_follower.core.settings.schema import build
+
+
+class FarPolicy(Protocol):
+    """A policy of a user's own for places far from the path."""
+
+    def modified_input(
+        self, zeta: FloatArray, curvature: FloatArray, feedforward: FloatArray
+    ) -> FloatArray:
+        """Return u = [v_e, w_e], shape (..., 2); the limits are applied to it afterwards.
+
+        Args:
+            zeta: States [s, y, theta, phi], shape (..., 4).
+            curvature: kappa at the target [1/m], shape (...).
+            feedforward: [v_ss, w_ss], to which u is added, shape (..., 2).
+
+        """
+
+
+def register_far_policy(name: str, factory: Callable[[Settings], FarPolicy]) -> None:
+    """Register a policy far from the path, so that `wide_region: NAME` chooses it.
+
+    Example: `adp.register_far_policy("turn_first", TurnFirst)`, where `TurnFirst(settings)` has a
+    method `modified_input(zeta, curvature, feedforward)`.
+
+    Args:
+        name: Letters, digits and _.
+        factory: Makes the policy of the settings; its class will do.
+
+    Raises:
+        AdpError: The method is missing, or returns something of another shape; or the name is
+            taken by the package.
+
+    """
+    policy = factory(build(Settings, {}))
+    if not hasattr(policy, "modified_input"):
+        raise AdpError(f"far policy '{name}' has no 'modified_input(zeta, curvature, feedforward)'")
+    for leading in ((), (5,)):
+        zeta = np.full((*leading, 4), 0.5)
+        feedforward = np.full((*leading, 2), 0.5)
+        found = np.asarray(policy.modified_input(zeta, np.full(leading, 0.1), feedforward))
+        if found.shape != (*leading, 2) or not np.isfinite(found.astype(float)).all():
+            raise AdpError(
+                f"far policy '{name}' returns shape {found.shape} for states of shape "
+                f"{zeta.shape}, but must return finite numbers of shape {(*leading, 2)}"
+            )
+    OWN_FAR_POLICIES.register(name, factory)
 
 
 class WideRegion:
@@ -23,7 +75,9 @@ class WideRegion:
         self._riccati = riccati
         inverse = np.linalg.inv(settings.cost.input_cost_matrix())
         self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
-        self._quadratic = RiccatiPolicy(settings, riccati)
+        self._is_own = settings.policy.wide_region not in WIDE_REGIONS
+        make = OWN_FAR_POLICIES.find(settings.policy.wide_region) if self._is_own else None
+        self._far: FarPolicy = RiccatiPolicy(settings, riccati) if make is None else make(settings)
 
     def blend(
         self,
@@ -53,7 +107,8 @@ class WideRegion:
             wanted = self._approach(zeta, self._riccati.matrix(curvature, feedforward[..., 0][()]))
             far = saturate(wanted, feedforward, self._limits)
         else:
-            far = self._quadratic.modified_input(zeta, curvature, feedforward)
+            far = self._far.modified_input(zeta, curvature, feedforward)
+            far = saturate(np.asarray(far), feedforward, self._limits) if self._is_own else far
         return np.asarray((1.0 - share) * learned + share * far)
 
     def _inside(self, zeta: FloatArray, level: float) -> bool:

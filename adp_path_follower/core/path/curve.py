@@ -114,6 +114,10 @@ class Path:
         self._blocks = derivatives.reshape(pieces, 6, terms)
         self._degrees = np.arange(terms)
 
+    def __repr__(self) -> str:
+        """Return the kind and the length in one line."""
+        return f"Path({'closed' if self.closed else 'open'}, {self.length:.3f} m)"
+
     @classmethod
     def from_points(cls, points: ArrayLike, closed: bool | None = None) -> Path:
         """Return the path through points, shape (N, 2) [m]; a C2 spline over their chord lengths.

@@ -11,7 +11,7 @@ import numpy as np
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.learning import LearningSettings, PolicySettings
-from adp_path_follower.core.settings.schema import POSITIVE, setting
+from adp_path_follower.core.settings.schema import POSITIVE, setting, update
 
 _WIRING = "the node's topics are made from it"
 _TIMER = "the control timer is made from it"
@@ -318,7 +318,7 @@ class ControllerSettings:
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings of the controller; build them with `schema.build(Settings, values)`."""
+    """All settings of the controller, as groups of values; `with_changes` gives others."""
 
     target: TargetSettings
     cost: CostSettings
@@ -336,3 +336,14 @@ class Settings:
                 "setting 'allow_reversing' is true, but 'min_linear_vel' is 0: set it to the speed "
                 "in reverse, as in -0.3"
             )
+
+    def with_changes(self, **changes: object) -> Settings:
+        """Return settings with some values changed, checked like those of a file.
+
+        Example: `settings.with_changes(desired_speed=0.3, max_linear_vel=0.6)`.
+
+        Raises:
+            SettingsError: A setting is unknown, of the wrong type or out of range.
+
+        """
+        return update(self, changes)

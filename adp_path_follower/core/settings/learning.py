@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from adp_path_follower.core.basis import BASES, FRAMES, Basis, make_basis
+from adp_path_follower.core.basis import BASES, FRAMES, OWN_BASES, Basis, make_basis
 from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.registry import Registry
 from adp_path_follower.core.settings.schema import POSITIVE, setting
 
 _STRUCTURE = "the weights, and the topics that publish them, are those of its terms"
@@ -18,6 +21,8 @@ _MOST_PREVIEW = 1000  # knots
 
 SCHEDULINGS = ("path_state", "arc_length")
 WIDE_REGIONS = ("none", "riccati", "approach")
+# Of `register_far_policy`; makes a policy of the settings.
+OWN_FAR_POLICIES: Registry[Callable[[Any], Any]] = Registry("far policy", WIDE_REGIONS)
 
 
 @dataclass(frozen=True)
@@ -30,9 +35,10 @@ class LearningSettings:
     basis: str = setting(
         "polynomial",
         "Basis of the value function: all monomials of the error up to basis_degree, the paper's "
-        "terms, or those as they are printed, which leave the path (docs/method.md).",
+        "terms, or those as they are printed, which leave the path (adp docs method).",
         symbol="σ",
         choices=BASES,
+        registry=OWN_BASES,
         read_only=_STRUCTURE,
     )
     basis_degree: int = setting(
@@ -227,6 +233,7 @@ class PolicySettings:
         "approach_angle (it needs no reverse), the Riccati policy in the half-angle frame, or none "
         "(the learned policy everywhere).",
         choices=WIDE_REGIONS,
+        registry=OWN_FAR_POLICIES,
     )
     wide_region_levels: tuple[float, ...] = setting(
         (1.0, 1.25),

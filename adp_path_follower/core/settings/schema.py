@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import yaml
 
 from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.registry import Registry
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[str, ...]
 Tree = TypeVar("Tree")
@@ -35,6 +36,7 @@ class Spec:
     low: float = -math.inf
     high: float = math.inf
     choices: tuple[str, ...] = ()
+    registry: Registry[Any] | None = None  # whose names are choices, too
     lengths: tuple[int, ...] = ()
     read_only: str = ""
     symbol: str = ""
@@ -65,7 +67,8 @@ class SettingField:
         """Return the allowed values in words, empty where anything of the type will do."""
         spec = self.spec
         if spec.choices:
-            return "one of " + ", ".join(spec.choices)
+            own = ", or registered by a plugin" if spec.registry is not None else ""
+            return f"one of {', '.join(spec.choices)}{own}"
         parts = []
         if spec.lengths:
             parts.append(" or ".join(str(n) for n in spec.lengths) + " values")
@@ -81,7 +84,8 @@ class SettingField:
     def allowed(self) -> str:
         """Return type and allowed values in words."""
         if self.spec.choices:
-            return self.range_text
+            own = [] if self.spec.registry is None else list(self.spec.registry.parts())
+            return self.range_text + (f" ({', '.join(own)})" if own else "")
         article = "a " if self.item_kind is not None else ""
         return ", ".join(filter(None, [article + self.type_name, self.range_text]))
 
@@ -150,7 +154,7 @@ def flatten(tree: object) -> dict[str, Value]:
 def unknown_name(name: str, known: Sequence[str] | Mapping[str, object]) -> str:
     """Return the sentence that refuses an unknown setting and proposes the nearest known one."""
     near = difflib.get_close_matches(name, list(known), n=1)
-    hint = f"; did you mean '{near[0]}'?" if near else "; docs/parameters.md lists all of them"
+    hint = f"; did you mean '{near[0]}'?" if near else "; `adp parameters` lists all of them"
     return f"unknown setting '{name}'{hint}"
 
 
@@ -187,7 +191,7 @@ def _checked_item(kind: type, spec: Spec, value: object) -> Any:
         raise ValueError
     if kind is float and isinstance(value, int) and abs(value) < 2**53:
         value = float(value)
-    if not isinstance(value, kind) or (spec.choices and value not in spec.choices):
+    if not isinstance(value, kind) or not _is_choice(spec, value):
         raise ValueError
     if isinstance(value, int | float) and not spec.low <= value <= spec.high:  # refuses NaN too
         raise ValueError
@@ -195,6 +199,12 @@ def _checked_item(kind: type, spec: Spec, value: object) -> Any:
 
 
 _SIGNS = {"at least ": "≥", "at most ": "≤", "above ": ">", "one of ": ""}
+
+
+def _is_choice(spec: Spec, value: object) -> bool:
+    if not spec.choices or value in spec.choices:
+        return True
+    return spec.registry is not None and spec.registry.find(str(value)) is not None
 
 
 def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:

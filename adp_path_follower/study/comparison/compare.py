@@ -96,6 +96,11 @@ class Comparison:
     notes: tuple[str, ...]
     outcomes: tuple[Outcome, ...]
 
+    def __repr__(self) -> str:
+        """Return the median J/J* of each controller in one line."""
+        ratios = ", ".join(f"{item.name} {item.quantile(0.5):.4f}" for item in self.outcomes)
+        return f"Comparison({self.path_name}, {len(self.starts)} starts, median J/J*: {ratios})"
+
 
 def compare(
     settings: Settings,

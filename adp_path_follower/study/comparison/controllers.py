@@ -8,16 +8,20 @@ start, v_des = 0.5 m/s, no limits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from types import MappingProxyType
 
-from adp_path_follower.core.control.interface import Controller
+import numpy as np
+
+from adp_path_follower.core.control.interface import Controller, ControlOutput
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.registry import Registry, load_plugins
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
@@ -127,7 +131,66 @@ OWN = {
 
 CONTROLLERS: dict[str, str] = {**OWN, **{name: peer.description for name, peer in PEERS.items()}}
 
+OWN_PEERS: Registry[Peer] = Registry("peer", tuple(CONTROLLERS))  # of `register_peer`
+
 _RATE = 100.0  # [Hz]
+
+
+def register_peer(
+    name: str, factory: Factory, description: str = "", control_rate: float | None = None
+) -> None:
+    """Register a controller, so that `adp compare --controllers NAME` runs it with the others.
+
+    Example: `adp.register_peer("slow", Slow)`, where `Slow(settings, path, arc_length)` is an
+    `adp.PeerController`, or any class with `settings`, `path` and `step(pose, dt)`;
+    examples/own_controller.py has all of it.
+
+    Args:
+        name: Letters, digits and _.
+        factory: Makes it from settings, path and the virtual targets' arc lengths (B,) [m].
+        description: What it is, for `adp compare --list`.
+        control_rate: Steps per second [Hz]; None for the simulation's.
+
+    Raises:
+        AdpError: Something of `Controller` is missing, or its output has another shape; or the
+            name is taken by the package.
+
+    """
+    path = Path.from_points([[0.0, 0.0], [10.0, 0.0]], closed=False)
+    controller = factory(build(Settings, {}), path, np.zeros(2))
+    for member in ("settings", "path", "step"):
+        if not hasattr(controller, member):
+            raise AdpError(
+                f"peer '{name}' has no '{member}': it needs settings, path and step(pose, dt)"
+            )
+    output = controller.step(np.full((2, 3), 0.1), 0.0)
+    for item in fields(ControlOutput):
+        shape = (2, *_SHAPES[item.name])
+        found = np.asarray(getattr(output, item.name, math.nan))
+        if found.shape != shape or not np.isfinite(found.astype(float)).all():
+            raise AdpError(
+                f"peer '{name}': {item.name} of the output of step for 2 robots has shape "
+                f"{found.shape}, but must be finite and of shape {shape}"
+            )
+    OWN_PEERS.register(name, Peer(name, description, factory, control_rate))
+
+
+# Of the numbers of one robot in `ControlOutput`.
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "command": (2,),
+    "modified_input": (2,),
+    "error": (3,),
+    "target_pose": (3,),
+    "arc_length": (),
+    "curvature": (),
+}
+
+
+def known_controllers() -> dict[str, str]:
+    """Return the name and the description of each controller, those of plugins too."""
+    load_plugins()
+    own = {name: peer.description for name, peer in OWN_PEERS.parts().items()}
+    return {**CONTROLLERS, **own}
 
 
 @dataclass(frozen=True)
@@ -164,12 +227,13 @@ def contenders(settings: Settings, names: Sequence[str]) -> list[Contender]:
             found.append(Contender(name, settings, PathFollower, mode, _RATE))
         elif name == "paper":
             found.append(Contender(name, _paper_laws(settings), PathFollower, "cold", _RATE))
-        elif name in PEERS:
-            peer = PEERS[name]
+        elif (peer := PEERS.get(name) or OWN_PEERS.find(name)) is not None:
             rate = peer.control_rate or _RATE
             found.append(Contender(name, settings, peer.factory, "frozen", rate))
         else:
-            raise AdpError(f"unknown controller '{name}': choose from {', '.join(CONTROLLERS)}")
+            raise AdpError(
+                f"unknown controller '{name}': choose from {', '.join(known_controllers())}"
+            )
     return found
 
 

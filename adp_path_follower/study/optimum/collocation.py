@@ -55,6 +55,13 @@ class Optimum:
     intervals: int
     guesses: tuple[float, ...]
 
+    def __repr__(self) -> str:
+        """Return J* and how exact it is in one line."""
+        return (
+            f"Optimum(J* {self.cost:.7g}, changes by {self.mesh_change:.0e} with the mesh and by "
+            f"{self.horizon_change:.0e} with the horizon)"
+        )
+
     @property
     def cost(self) -> float:
         """Return J*."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,7 +78,19 @@ class SimulationResult:
     excitation: FloatArray
     step_time: float
     failed: np.ndarray
-    trajectories: Trajectories | None = field(default=None, repr=False)
+    trajectories: Trajectories | None = None
+
+    def __repr__(self) -> str:
+        """Return the cost and the settling time of the runs in one line."""
+        sound = self.cost[~self.failed]
+        settled = self.settling_time[np.isfinite(self.settling_time)]
+        cost = f"J {np.median(sound):.6g}" if len(sound) else "no J"
+        after = f" after {np.median(settled):.2f} s" if len(settled) else ""
+        runs = "1 run" if len(self.starts) == 1 else f"{len(self.starts)} runs"
+        return (
+            f"SimulationResult({runs}: {cost} (median), {len(settled)} settled"
+            f"{after}, {int(self.failed.sum())} failed)"
+        )
 
 
 def simulate(

@@ -163,8 +163,8 @@ def test_bad_settings_of_the_simulator_are_refused(name, value, allowed):
         ("desired_sped", "'desired_speed'"),
         ("max_linear_velocity", "'max_linear_vel'"),
         ("Basis", "'basis'"),
-        ("zzz", "docs/parameters.md"),
-        ("", "docs/parameters.md"),
+        ("zzz", "`adp parameters` lists all"),
+        ("", "`adp parameters` lists all"),
     ],
 )
 def test_unknown_names_are_refused_with_the_nearest_known_one(name, proposal):

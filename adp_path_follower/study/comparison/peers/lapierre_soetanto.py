@@ -67,7 +67,7 @@ class LapierreSoetanto(PeerController):
         super().__init__(settings, path, arc_length)
         self.gains = gains
 
-    def _command(
+    def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the speed and the turn of the law."""

@@ -26,7 +26,7 @@ class Lqr(PeerController):
         self._schedule = RiccatiSchedule(path, settings.target, settings.cost)
         self._input_cost_inverse = np.linalg.inv(settings.cost.input_cost_matrix())
 
-    def _command(
+    def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the command of the policy."""

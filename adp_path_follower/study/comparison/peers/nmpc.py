@@ -44,7 +44,7 @@ class Nmpc(PeerController):
         self.failures = 0
         self._plans: list[Plan | None] = []
 
-    def _command(
+    def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the first command of each robot's plan."""

@@ -33,7 +33,7 @@ class PeerController(ABC):
         """Return the command for poses [x, y, theta], shape (B, 3), after dt [s]."""
         frame, error = self.target.move(pose, dt)
         limits = self.settings.limits
-        command = np.clip(self._command(pose, dt, frame, error), limits.lower, limits.upper)
+        command = np.clip(self.command(pose, dt, frame, error), limits.lower, limits.upper)
         feedforward = error_dynamics.feedforward(frame.curvature, self.settings.target)
         return ControlOutput(
             command=command,
@@ -45,7 +45,7 @@ class PeerController(ABC):
         )
 
     @abstractmethod
-    def _command(
+    def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the wanted command [v, w], shape (B, 2).

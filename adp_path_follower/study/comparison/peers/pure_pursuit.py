@@ -59,7 +59,7 @@ class PurePursuit(PeerController):
         self.lookahead = lookahead
         self._place: FloatArray = np.asarray(self.target.arc_length)
 
-    def _command(
+    def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return v_des and the turn that follows the arc to the point ahead."""
@@ -134,7 +134,7 @@ class RegulatedPurePursuit(PeerController):
         # In place of the odometry's twist, which Nav2 takes. The robot starts at rest.
         self._twist = np.zeros(2)
 
-    def _command(
+    def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the regulated speed along the arc to the point ahead, or a turn in place."""

@@ -73,7 +73,7 @@ class Stanley(PeerController):
         self.gains = gains
         self._place: FloatArray = np.asarray(self.target.arc_length)
 
-    def _command(
+    def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return v_des and the turn of the virtual bicycle."""

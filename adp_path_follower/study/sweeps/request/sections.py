@@ -129,5 +129,5 @@ def read_sections(file: FilePath) -> Section:
     """
     content = read_yaml(file)
     if not isinstance(content, Mapping):
-        raise SettingsError(f"file {file} must hold NAME: VALUE entries (docs/sweeps.md)")
+        raise SettingsError(f"file {file} must hold NAME: VALUE entries (adp docs sweeps)")
     return Section(f"file {file}", file.parent, content)
