@@ -31,10 +31,20 @@ class DirectExecutor(SingleThreadedExecutor):
     _is_stale = True  # whether the node may have other things to wait for by now
 
     def __init__(self, node: Node) -> None:
-        """Take a node over."""
+        """Take a node over.
+
+        Raises:
+            AttributeError: This rclpy lacks an internal that this class stands on.
+
+        """
         super().__init__(context=node.context)
-        self.add_node(node)
         self._node = node
+        _check(rclpy_implementation.Timer, "is_timer_ready", "call_timer")
+        _check(rclpy_implementation.Subscription, "take_message")
+        _check(self, "_context", "_guard", "_tasks")
+        self._make_wait_set()
+        _check(self._wait_set, "clear_entities", "wait", "get_ready_entities")
+        self.add_node(node)
 
     def wake(self) -> None:
         """Look at what the node has, because something was created or destroyed."""
@@ -93,6 +103,8 @@ class DirectExecutor(SingleThreadedExecutor):
         self._waitables = [*node.waitables]
         self._timers = _by_pointer(node.timers)
         self._subscriptions = _by_pointer(node.subscriptions)
+        for subscription in self._subscriptions.values():
+            _check(subscription, "_callback_type", "msg_type", "raw")
         clients, services = [*node.clients], [*node.services]
         guards = [*node.guards, self._guard]
         wait_set = rclpy_implementation.WaitSet(
@@ -112,6 +124,25 @@ class DirectExecutor(SingleThreadedExecutor):
             )
             for entity in entities
         ]
+
+
+def executor_of(node: Node) -> SingleThreadedExecutor:
+    """Return the executor of a node: rclpy's own where its internals are not those known here."""
+    try:
+        return DirectExecutor(node)
+    except (AttributeError, TypeError) as error:
+        node.get_logger().warning(
+            f"using rclpy's own executor, which needs more processor time: {error}"
+        )
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    return executor
+
+
+def _check(owner: Any, *names: str) -> None:
+    """Raise AttributeError, which says what is missing, unless an object has these attributes."""
+    for name in names:
+        getattr(owner, name)
 
 
 def _by_pointer(entities: Iterable[Any]) -> dict[int, Any]:

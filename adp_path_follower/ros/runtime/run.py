@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from adp_path_follower.core.errors import AdpError, SettingsError
-from adp_path_follower.ros.runtime.executor import DirectExecutor
+from adp_path_follower.ros.runtime.executor import executor_of
 from adp_path_follower.ros.runtime.log_output import unblocked_stderr
 from adp_path_follower.ros.runtime.stop_request import StopRequest
 
@@ -102,7 +102,7 @@ def _run(name: str, make_node: Callable[[], Node]) -> int:
 
 def _spin(node: Any, stop: StopRequest) -> None:
     """Let the node work until it is asked to stop or is finished, and for as long as it lingers."""
-    executor = DirectExecutor(node)
+    executor = executor_of(node)
     while not stop.received and not node.finished and rclpy.ok():
         executor.spin_once(timeout_sec=0.1)
     end = steady.monotonic()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 
 import pytest
 import rclpy
+from geometry_msgs.msg import TwistStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
@@ -15,6 +17,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from adp_path_follower.ros.runtime.executor import DirectExecutor
+from live_nodes import TIMEOUT, is_zero, running_script
 
 pytestmark = pytest.mark.nodes
 
@@ -191,3 +194,44 @@ def test_an_error_in_a_callback_ends_the_spin(spun):
     spun.context.try_shutdown()
     with pytest.raises(ExternalShutdownException):
         spun.executor.spin_once(0.01)
+
+
+OTHER_INTERNALS = """
+import importlib.util, pathlib, re, sys, types
+
+spec = importlib.util.find_spec("rclpy.executors")
+source = pathlib.Path(spec.origin).read_text()
+renamed, count = re.subn(r"\\bself\\.{name}\\b", "self._renamed", source)
+assert count > 1
+module = importlib.util.module_from_spec(spec)
+sys.modules["rclpy.executors"] = module
+exec(compile(renamed, spec.origin, "exec"), module.__dict__)
+
+from adp_path_follower.ros.runtime.entry import controller
+
+sys.argv = ["controller"]
+controller()
+"""
+
+
+@pytest.mark.parametrize("name", ["_guard", "_tasks"])
+def test_with_other_internals_of_rclpy_the_node_drives_by_the_executor_of_rclpy(
+    domain, peer, tmp_path, name
+):
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    log = tmp_path / "log"
+    with running_script(OTHER_INTERNALS.replace("{name}", name), domain, log) as process:
+        peer.until_matched(peer.odometry, peer.path)
+        peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
+        peer.send_path()
+        peer.until(
+            lambda: len(commands) >= 50 and not any(map(is_zero, commands[-10:])),
+            "commands to move",
+        )
+        assert peer.call(Trigger, "path_follower/stop").success
+        peer.until(lambda: is_zero(commands[-1]), "zero velocity")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(TIMEOUT) == 0
+    lines = [line for line in log.read_text().splitlines() if "rclpy's own executor" in line]
+    assert len(lines) == 1
+    assert lines[0].endswith(f"has no attribute '{name}'")
