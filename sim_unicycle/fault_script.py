@@ -1,4 +1,4 @@
-"""A bad day to replay: simulator parameters that change at set times."""
+"""Fault scripts: simulator parameters that change at set times."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FaultScript:
         self._known = None
 
     def settings_at(self, settings: SimulatorSettings, time: float) -> SimulatorSettings:
-        """Return settings with what the script changes at a time [s].
+        """Return settings with the changes of the script at a time [s].
 
         Raises:
             SettingsError: They do not fit each other.

@@ -32,7 +32,7 @@ _CORRUPTIONS: dict[str, Callable[[Odometry], None]] = {
 
 
 def published_time(time: int, settings: SimulatorSettings) -> int:
-    """Return what /clock says [ns] at a simulated time [ns]."""
+    """Return the time on /clock [ns] at a simulated time [ns]."""
     return max(1, time + round(NANOSECONDS * settings.message_faults.clock_offset))
 
 

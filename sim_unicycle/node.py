@@ -101,7 +101,7 @@ class SimulatorNode(Ending, Node):
         self.get_logger().info(f"simulating {mode}")
 
     def last_words(self) -> None:
-        """Wait, not for long, until a recorder has got everything."""
+        """Wait briefly until a recorder has received everything."""
         if self._settings.simulation.lockstep:
             for publisher in (self._ground_truth, self._odometry):
                 publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TIMEOUT))
@@ -162,7 +162,7 @@ class SimulatorNode(Ending, Node):
     # Time
 
     def _tick(self) -> None:
-        """Let simulated time go on beside the steady clock."""
+        """Advance simulated time with the steady clock."""
         if self._own_clock:
             self._advance(self._period)
         else:
@@ -186,7 +186,7 @@ class SimulatorNode(Ending, Node):
             )
 
     def _advance_to_odometry(self) -> None:
-        """Move the robot until there is odometry to answer, but not for ever at once."""
+        """Move the robot until there is odometry to answer, for a bounded number of steps."""
         for _ in range(_SILENT_STEPS):
             self._advance(self._period)
             if self._odometry_messages or self.finished:

@@ -27,7 +27,7 @@ class Reading:
     """One measurement.
 
     Attributes:
-        time: When it was measured [s].
+        time: Time of the measurement [s].
         pose: x [m], y [m], theta [rad] with noise and drift, heading in [-pi, pi), (..., 3).
         twist: v [m/s] and w [rad/s] of the wheels, shape (..., 2).
 
@@ -117,7 +117,7 @@ class Odometry:
         self.arrived = tuple(arrived)
 
     def _kept(self, reading: Reading, lost: Losses) -> Reading:
-        """Return a reading with what is known already where it was lost."""
+        """Return a reading, with the last known values where it was lost."""
         pose = np.where(lost, self.reading.pose, reading.pose)
         return Reading(reading.time, pose, np.where(lost, self.reading.twist, reading.twist))
 

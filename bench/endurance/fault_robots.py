@@ -1,4 +1,4 @@
-"""Robots that move, with their nodes, for faults to be injected into."""
+"""Start moving robots with their nodes, as targets of faults."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Bench:
 
     @contextlib.contextmanager
     def nodes(self) -> Iterator[tuple[Peer, Callable[..., NodeProcess]]]:
-        """Yield a peer, and what starts nodes that end with the block."""
+        """Yield a peer, and a function that starts nodes, which end with the block."""
         peer, nodes = Peer(self._domain), []
 
         def start(executable: str, **values: Any) -> NodeProcess:

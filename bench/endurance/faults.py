@@ -7,7 +7,7 @@ With `--json` new times replace those in the file. `--table` measures nothing: i
 
 A controller follows a line; the fault is injected again and again, each time after it has been
 seen to move the robot. Time is from the injection until a command of zero velocity is received, so
-it holds what DDS and a busy machine add, and the timeout where a timeout is what finds the fault.
+it includes the delays of DDS and of a busy machine, and the timeout if one finds the fault.
 """
 
 from __future__ import annotations
@@ -217,7 +217,7 @@ def clocks(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
 
 
 def processes(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
-    """Yield what happens when processes stall and die, with the times."""
+    """Yield the faults of processes that stall and die, with the times."""
     with bench.nodes() as (peer, start):
         team = Team(peer, start)
 

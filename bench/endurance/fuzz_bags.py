@@ -43,7 +43,7 @@ from adp_path_follower.core.errors import AdpError  # noqa: E402  # imports nump
 from adp_path_follower.drawing.figure_style import STYLE  # noqa: E402  # imports numpy
 
 MOST_TIME = 10.0  # [s] of computing
-LONGEST_WAIT = 60.0  # [s] after which a command is broken into
+LONGEST_WAIT = 60.0  # [s] after which a command is interrupted
 MOST_MEMORY = 500.0  # [MB]
 STEPS = 100  # of the run: a second
 GOOD = ("success", "sentence")
@@ -51,13 +51,13 @@ GOOD = ("success", "sentence")
 
 @dataclass(frozen=True)
 class Attempt:
-    """How one command ended.
+    """The end of one command.
 
     Attributes:
-        seed: Which damage.
-        damage: Kind of file, and what was done to it.
-        command: The command, and which bag it was given.
-        end: "success", "sentence" or what is no good end.
+        seed: Seed of the damage.
+        damage: Kind of file, and the damage.
+        command: The command and its bag.
+        end: "success", "sentence" or the kind of failure.
         time: Computing time, whatever else the machine does [s].
         memory: Most that the process held meanwhile [MB].
         detail: The sentence, or the traceback.
@@ -74,7 +74,7 @@ class Attempt:
 
 
 class _Hang(BaseException):
-    """Break into a command that does not end."""
+    """Interrupt a command that does not end."""
 
 
 def _break_in(number: int, frame: FrameType | None) -> None:
@@ -92,7 +92,7 @@ def _peak() -> float:
 
 
 def run_command(arguments: list[str]) -> tuple[str, str]:
-    """Return how a command ended, and what it said."""
+    """Return how a command ended, and its output."""
     output = io.StringIO()
     try:
         with (
@@ -117,7 +117,7 @@ def run_command(arguments: list[str]) -> tuple[str, str]:
 
 
 def attempt(seed: int, damage: str, command: str, arguments: list[str]) -> Attempt:
-    """Run a command; break in if it does not end."""
+    """Run a command; interrupt it if it does not end."""
     _reset_peak()
     signal.signal(signal.SIGALRM, _break_in)
     signal.setitimer(signal.ITIMER_REAL, LONGEST_WAIT)
@@ -182,7 +182,7 @@ def is_good(item: Attempt) -> bool:
 
 
 def report(found: list[Attempt]) -> None:
-    """Print how many ended how, and what they took."""
+    """Print how many commands ended in which way, and their time and memory."""
     for (command, end), count in sorted(Counter((a.command, a.end) for a in found).items()):
         print(f"{count:6d}  {command}: {end}")
     for command in sorted({item.command for item in found}):
@@ -197,7 +197,7 @@ def report(found: list[Attempt]) -> None:
 
 
 def main() -> int:
-    """Print how many ended how; fail if one of them ended in any other way."""
+    """Print how many commands ended in which way; fail if one ended badly."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=2000, help="number of bags")
     parser.add_argument("--seed", type=int, default=1, help="of the first bag")

@@ -3,8 +3,8 @@
     python bench/endurance/hour.py [--minutes 60] [--factor 3] [--seed 0] [--out DIR]
 
 Controller and simulator run as processes, in simulated time that runs faster than the clock on the
-wall. Every few simulated seconds something happens through topics and services, as a seed decides:
-a fault of the robot or of its messages, new parameters (some of them refused), another path, an
+wall. Every few simulated seconds an event happens through topics and services, chosen by a seed:
+a fault of the robot or of its messages, new parameters (some of them rejected), another path, an
 empty one, a stop, a reset of the learning, a listener that comes and goes. It fails if the
 controller ends, prints a traceback or an unexpected error, sends a command that is not finite or
 beyond the limits, or does not follow any more at the end; it reports how its memory grows after the
@@ -183,7 +183,7 @@ class Hour:
         return all(node.process.poll() is None for node in (self.controller, self.simulator))
 
     def settle(self) -> None:
-        """See that the robot drives on when all is well again."""
+        """Check that the robot drives on after all faults."""
         self.set("path_follower", {"learning": True, "max_cross_track_error": math.inf})
         self.new_path()
         self.peer.call(Trigger, "path_follower/resume")
@@ -198,7 +198,7 @@ class Hour:
         self.peer.spin(seconds / self._factor)
 
     def set(self, node: str, values: dict[str, Any]) -> None:
-        """Set parameters of a node all at once, or see them refused."""
+        """Set parameters of a node as a set; count it if they are rejected."""
         request = SetParametersAtomically.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg() for name, value in
                         values.items()]
@@ -271,7 +271,7 @@ class Hour:
         self.peer.call(Trigger, "path_follower/resume")
 
     def reset_learning(self) -> None:
-        """Forget what was learned."""
+        """Reset learning."""
         self.peer.call(Trigger, "path_follower/reset_learning")
 
     def listen_for_a_while(self) -> None:
@@ -289,7 +289,7 @@ class Hour:
             node.destroy_subscription(listener)
 
     def growth(self) -> float:
-        """Return by which share memory has grown since the warm-up; NaN for too short a drive."""
+        """Return the share by which memory has grown since the warm-up; NaN for a short drive."""
         times, memory = np.array(self.memory).T
         start, end = 60.0 * WARM_UP, times[-1]
         if end < start + 2.0 * _WINDOW:
@@ -317,7 +317,7 @@ def draw(hour: Hour, file: FilePath) -> None:
 
 
 def summary(hour: Hour, minutes: float, wall: float) -> dict[str, Any]:
-    """Return what was found; problems include what the controller printed."""
+    """Return the results; problems include errors that the controller printed."""
     problems = list(hour.problems)
     code = hour.controller.process.poll()
     if code is not None:
@@ -348,7 +348,7 @@ def summary(hour: Hour, minutes: float, wall: float) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Drive, print what was found, and return 1 if something was wrong."""
+    """Drive, print the results, and return 1 if there was a problem."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=60.0, help="simulated (default: 60)")
     parser.add_argument("--factor", type=float, default=3.0, help="simulated s per s (default: 3)")

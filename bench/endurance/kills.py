@@ -1,7 +1,7 @@
 """Kill the recorder at random moments and recover: `python bench/endurance/kills.py [--count 50]`.
 
-Every message that is saved must be what was published, to the byte and without gaps, and must
-reach to within 0.5 s of the kill.
+Saved messages must equal the published ones, to the byte and without gaps, up to 0.5 s before the
+kill.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How fast the learner adapts to a change: draw docs/images/adaptation.png, and print the losses.
+"""Measure how fast the learner adapts: draw docs/images/adaptation.png, print the losses.
 
 A change of a setting, or of the path, makes the learner begin again from the Riccati solution. Here
 it learns for a while after the change; then robots start, twelve of them off the path by up to 1 m

@@ -1,4 +1,4 @@
-"""Draw docs/images/paths.png: poses, and what is made of them.
+"""Draw docs/images/paths.png: poses, and the routes through them.
 
 python bench/pictures/path_figure.py
 """

@@ -108,7 +108,7 @@ def approach_angle() -> Figure:
 
 
 def actuation_delay() -> Figure:
-    """Show what it helps to know the delay."""
+    """Show the benefit of a known delay."""
     figure, error, steering = _pair("a robot that answers 0.3 s late", "steering")
     plant = PlantSettings(command_delay=0.3)
     for color, delay in zip(COLORS, (0.0, 0.3), strict=False):
@@ -144,7 +144,7 @@ def lateral_acceleration() -> Figure:
 
 
 def accelerations() -> Figure:
-    """Show what limits of acceleration make of the commands."""
+    """Show how limits of acceleration change the commands."""
     figure, speed, steering = _pair("from standstill, beside the path", "steering")
     for color, most in zip(COLORS, (np.inf, 0.5, 0.2), strict=False):
         limits: dict[str, object] = {}

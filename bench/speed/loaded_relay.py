@@ -1,4 +1,4 @@
-"""The relay in a node with all that rclpy looks at in the controller before every message."""
+"""Run the relay in a node with the services, subscriptions and events of the controller."""
 
 import math
 

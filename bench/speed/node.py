@@ -55,7 +55,7 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class Contender:
-    """A node under test in a process of its own, and who talks to it."""
+    """A node under test in its own process, with its peer."""
 
     def __init__(self, name: str, domain: int, folder: FilePath) -> None:
         """Start one of `CONTENDERS`."""
@@ -169,7 +169,7 @@ CONTENDERS: dict[str, dict[str, Any] | str] = {
     "controller": _CONTROLLER,
     "controller, not learning": {**_CONTROLLER, "learning": False},
 }
-# Who is set beside whom, and whether there is a target for that.
+# Compared pairs, and whether there is a target for them.
 _COMPARED = (
     ("relay", "relay", False),
     ("loaded relay", "relay", False),

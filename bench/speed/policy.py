@@ -52,7 +52,7 @@ class LearningWithBasis(LearningSettings):
     """Settings with a basis that has no name."""
 
     def __post_init__(self) -> None:
-        """Refuse nothing: the numbers are those of valid settings."""
+        """Check nothing: the numbers are those of valid settings."""
 
     @property
     def value_basis(self) -> Basis:
@@ -148,7 +148,7 @@ def draw(found: dict[tuple[int, int], dict[str, float]], file: FilePath) -> None
 
 
 class NmpcDrive:
-    """A robot that does what NMPC says, at its 20 Hz."""
+    """A robot driven by NMPC at 20 Hz."""
 
     def __init__(self, settings: Settings) -> None:
         """Start beside the figure eight, and compile the solver."""

@@ -49,7 +49,7 @@ class Command:
         return len(list((self.out / "runs").glob("part-*.parquet")))
 
     def until(self, condition: Callable[[], bool]) -> None:
-        """Wait for something that happens while the command runs."""
+        """Wait for an event while the command runs."""
         while not condition() and self.process.poll() is None:
             time.sleep(0.1)
 
@@ -108,7 +108,7 @@ def with_killed_worker(file: FilePath, out: FilePath, parts: int) -> None:
 
 
 def killed_and_started_again(file: FilePath, out: FilePath, parts: int) -> None:
-    """Kill the command itself half-way, and give it again."""
+    """Kill the command itself half-way, and start it again."""
     command = Command(file, out)
     command.until(lambda: command.parts() >= parts // 2)
     command.process.send_signal(signal.SIGKILL)

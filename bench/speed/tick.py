@@ -2,10 +2,9 @@
 
     python bench/speed/tick.py [--ticks 100000] [--json FILE]
 
-Absolute times depend on the machine and on what else it does; ratios of what is measured in turns
-hardly do. Ticks are those of a robot that drives along the paper's figure eight. Between each two
-of the long run, a loop of plain Python takes about the same time: how far its slowest turns are
-from its usual ones is the machine's doing, not the controller's.
+Absolute times depend on the machine and its other work; ratios measured in turns hardly do. The
+robot drives along the paper's figure eight. Between each two ticks of the long run, a loop of plain
+Python takes about the same time: the spread of its turns is the machine's, not the controller's.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _LAP, _TRACED = 1000, 2000  # ticks
 
 
 class Drive:
-    """A robot that does what its controller says."""
+    """A robot driven by its controller."""
 
     def __init__(
         self, file: FilePath | None = None, *assignments: str, path: Path | None = None
@@ -69,7 +68,7 @@ class Drive:
 
 
 def parts() -> dict[str, Callable[[], object]]:
-    """Return what a tick consists of, by name."""
+    """Return the parts of a tick, by name."""
     drives = Drive(config_file("paper.yaml")), Drive()
     for drive in drives:
         drive.tick()
@@ -113,7 +112,7 @@ def consists_of() -> list[Row]:
 
 
 def long_run(count: int) -> list[Row]:
-    """Return how long ticks take that follow one another, and what the garbage collector does."""
+    """Return the times of consecutive ticks, and the work of the garbage collector."""
     drive = Drive()
     turns = _turns_of_a_loop_like(drive)
     collections: list[float] = []
@@ -177,7 +176,7 @@ def _plain_loop(turns: int) -> float:
 
 
 def allocations() -> list[Row]:
-    """Return what ticks keep of the memory that they allocate, and what one has at once."""
+    """Return the memory that ticks keep, and the most that one has at once."""
     rows = []
     for name, assignments in (("not learning", ("learning=false",)), ("learning", ())):
         drive = Drive(None, *assignments, path=circle(0.5))

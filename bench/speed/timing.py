@@ -50,7 +50,7 @@ class Row:
 
 
 def machine() -> dict[str, str]:
-    """Return what the results depend on."""
+    """Return the machine and the versions that the results depend on."""
     lines = FilePath("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {
@@ -63,7 +63,7 @@ def machine() -> dict[str, str]:
 
 
 def time_of(call: Callable[[], object], calls: int) -> float:
-    """Return the mean processor time of a call [µs]; what else the machine does is not in it."""
+    """Return the mean processor time of a call [µs], without the machine's other work."""
     start = time.thread_time()
     for _ in range(calls):
         call()
@@ -107,7 +107,7 @@ def report(rows: list[Row], file: FilePath | None) -> None:
 
 
 def arguments(doc: str | None) -> argparse.ArgumentParser:
-    """Return a parser for what every benchmark takes; end where BLAS may use several threads."""
+    """Return a parser of the common options; end if BLAS may use several threads."""
     if os.environ.get("OPENBLAS_NUM_THREADS") != "1":
         sys.exit("set OPENBLAS_NUM_THREADS=1 and OMP_NUM_THREADS=1, as `make bench` does")
     parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])

@@ -32,7 +32,7 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
 _SPACING = 0.02  # [m] of places where the path is sampled, at most ...
 _MOST_PLACES = 100_000  # ... so many pieces
 _NEWTON_STEPS = 8
-_BLOCK = 8192  # rows at once: what a thread computes must leave others a word, too
+_BLOCK = 8192  # rows at once, so that other threads get their turn
 
 
 class TurningBackError(PathError):
@@ -86,8 +86,8 @@ class PathSamples:
 class Path:
     """A planar path as pieces of fifth degree in arc length.
 
-    A closed path has no ends: arc length goes on over the laps. Beyond the ends of an open path
-    its tangents go on as straight lines.
+    A closed path has no ends: arc length grows over the laps. Beyond the ends of an open path
+    its tangents continue as straight lines.
     """
 
     def __init__(self, coefficients: FloatArray, length: float, closed: bool) -> None:
@@ -247,7 +247,7 @@ class Path:
         return poses
 
     def make_ready(self) -> None:
-        """Compute beforehand what the first control step on the path asks for."""
+        """Compute the caches that the first control step on the path needs."""
         self.digest()
         _ = self.curvature_range, self.samples
 

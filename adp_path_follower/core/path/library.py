@@ -120,7 +120,7 @@ def named_points(name: str, spacing: float) -> FloatArray:
     """Return poses to publish for a name: x, y, heading, shape (N, 3).
 
     Those of a built-in path are at most `spacing` [m] apart. Those of a file are its points,
-    without headings (NaN): whoever follows them rounds their corners.
+    without headings (NaN): the follower rounds their corners.
 
     Raises:
         PathError: No such name, or points that make no path.

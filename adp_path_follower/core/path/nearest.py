@@ -45,9 +45,9 @@ class Projection:
 
 
 def best_place(path: Path, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the place on the whole path that suits a pose best, and its score.
+    """Return the place on the whole path that fits a pose best, and its score.
 
-    The nearest place suits best, where a heading error of 90 degrees counts like a metre. At a
+    The nearest place fits best, where a heading error of 90 degrees counts like a metre. At a
     crossing of the path with itself, and between two lanes, the heading decides.
 
     Args:

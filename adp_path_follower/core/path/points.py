@@ -39,7 +39,7 @@ def joined(points: FloatArray, closed: bool | None) -> tuple[FloatArray, bool]:
 
     Args:
         points: Without coinciding neighbours.
-        closed: Whether the last joins the first; None asks whether they coincide (1 mm).
+        closed: Whether the last joins the first; None tests whether they coincide (1 mm).
 
     Raises:
         PathError: A closed path of fewer than three points.

@@ -1,4 +1,4 @@
-"""From poses as they come to a route that can be driven.
+"""Prepares a route from poses: smooths, cuts and orients it.
 
 Where the spline through the points is fair, and stays within `path_tolerance` of their polyline,
 it is the path. Otherwise the polyline is smoothed within the tolerance (`smoothing`). Where the
@@ -45,7 +45,7 @@ class _Poses:
     index: np.ndarray
 
     def place(self, number: int) -> str:
-        """Return which pose it is, and where."""
+        """Return number and place of a pose, for messages."""
         x, y = self.points[number]
         return f"pose {self.index[number]} at ({x:.2f}, {y:.2f})"
 
@@ -60,10 +60,9 @@ def prepare(
 
     Args:
         points: Positions in order, shape (N, 2) [m].
-        settings: Give tolerance, whether the path is closed, and whether it may be reversed.
-        headings: Orientation of each pose, shape (N,) [rad]; NaN for one that has none. All the
-            same zero but for the ends, as of publishers that leave the orientation out, counts as
-            none.
+        settings: Tolerance, whether the path is closed, and whether it may be reversed.
+        headings: Orientation of each pose, shape (N,) [rad]; NaN for one that has none. Zero
+            everywhere but at the ends counts as none: some publishers leave orientations out.
         closed: Whether the path is closed, where its source says so; None leaves it to the
             settings.
 
@@ -89,7 +88,7 @@ def prepare(
 def _useful_headings(
     headings: ArrayLike | None, count: int, index: np.ndarray
 ) -> FloatArray | None:
-    """Return the headings of distinct points, None where they say nothing."""
+    """Return the headings of distinct points, None if there are none."""
     if headings is None:
         return None
     try:
@@ -142,7 +141,7 @@ def _cut_route(
 
     Args:
         poses: The poses.
-        said: Whether the path is closed, where somebody says so.
+        said: Whether the path is closed, None if the source does not say.
         settings: Settings of paths.
         unfit: The spline through all of them, if it is known not to be the path.
 

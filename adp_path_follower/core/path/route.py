@@ -46,7 +46,7 @@ class Route:
 
     @property
     def closed(self) -> bool:
-        """Return whether the route ends where it starts, and goes on."""
+        """Return whether the route is one closed path."""
         return len(self.segments) == 1 and self.segments[0].path.closed
 
     def digest(self) -> str:
@@ -63,7 +63,7 @@ class Route:
         )
 
     def nearest(self, pose: FloatArray) -> tuple[int, float]:
-        """Return the segment and the arc length [m] on it that suit a robot's pose (3,) best."""
+        """Return the segment and the arc length [m] on it that fit a robot's pose (3,) best."""
         found = [
             best_place(segment.path, segment.heading_of_path(pose)) for segment in self.segments
         ]
@@ -71,7 +71,7 @@ class Route:
         return best, float(found[best][0])
 
     def make_ready(self) -> None:
-        """Compute beforehand what the first control step on each segment asks for."""
+        """Compute the caches that the first control step on each segment needs."""
         for segment in self.segments:
             segment.path.make_ready()
 

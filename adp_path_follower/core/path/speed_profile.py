@@ -1,6 +1,6 @@
-"""The speed along a path, v_des(s_p): as fast as curvature, limits and what lies ahead allow.
+"""The speed along a path, v_des(s_p): as fast as curvature, limits and the way ahead allow.
 
-Pointwise, with a share eta of what the robot can do, which leaves the rest to corrections,
+Pointwise, with a share eta of the robot's limits, which leaves the rest to corrections,
 
     v_des <= min(desired_speed, max_linear_vel, speed_limit, sqrt(a_lat / |kappa|),
                  eta w_max / |kappa|, sqrt(eta alpha_max / (2 |kappa'|))),
@@ -39,7 +39,7 @@ class SpeedProfile:
 
     """
 
-    @np.errstate(over="ignore")  # what is infinite is no limit
+    @np.errstate(over="ignore")  # infinite ones are no limits
     def __init__(self, path: Path, settings: Settings) -> None:
         """Find the speeds at nodes along the path."""
         target, limits, motion = settings.target, settings.limits, settings.motion
@@ -56,7 +56,7 @@ class SpeedProfile:
             squared[-1] = 0.0
         bend = np.abs(curvature)
         bend = np.maximum(np.maximum(bend[:-1], bend[1:]), 1e-12)  # between two nodes
-        if self._closed:  # the second of three laps knows what was before it and what comes
+        if self._closed:  # the middle lap of three sees a lap before and after it
             squared = np.concatenate([squared[:-1], squared[:-1], squared])
             bend = np.tile(bend, 3)
         turning = 0.5 * SHARE * motion.max_angular_accel / bend
@@ -75,7 +75,7 @@ class SpeedProfile:
     def speed(self, arc_length: FloatArray) -> FloatArray:
         """Return v_des [m/s] at arc lengths s_p [m] of any shape, same shape.
 
-        Beyond the ends of an open path it is what it is there.
+        Beyond the ends of an open path the speed at the end holds.
         """
         place = arc_length[()]
         if self._closed:
@@ -113,7 +113,7 @@ class SpeedProfile:
 
 
 class SpeedReference:
-    """The profile, reached from the speed that a robot has with the accelerations it can have.
+    """The profile, approached from the robot's speed within its accelerations.
 
     Attributes:
         profile: The speeds along the path.
@@ -130,7 +130,7 @@ class SpeedReference:
         self._start: tuple[FloatArray, FloatArray] | None = None
 
     def launch(self, arc_length: FloatArray, speed: FloatArray) -> None:
-        """Go on to the profile from a speed (...) [m/s] at arc lengths (...) [m]."""
+        """Approach the profile from a speed (...) [m/s] at arc lengths (...) [m]."""
         if self._limited:
             from_rest = np.maximum(speed, self.profile.slowest)  # at zero it would never start
             self._start = (np.asarray(arc_length)[()], from_rest**2)

@@ -1,4 +1,4 @@
-"""Whether an odometry message can follow the ones before it."""
+"""Checks odometry messages against the clock, their limits and the ones before."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class OdometryProblem:
 
     Attributes:
         text: One sentence.
-        lasts: Whether somebody has to look before the robot drives on, where it may not be what or
-            where it was.
+        lasts: Whether `resume` must be called before the robot drives on, because the robot or its
+            place may have changed.
 
     """
 
@@ -52,7 +52,7 @@ class OdometryCheck:
         child_frame: str,
         settings: Settings,
     ) -> OdometryProblem | None:
-        """Return what is wrong with a message, None if nothing is.
+        """Return the problem of a message, None if it is sound.
 
         After a step back of the stamps, and after a jump, the next message is compared with this
         one, so the fault ends by itself when the messages agree again. Another robot frame does
@@ -64,7 +64,7 @@ class OdometryCheck:
             pose: x [m], y [m], theta [rad], shape (3,).
             twist: v [m/s], w [rad/s], shape (2,).
             child_frame: The robot's frame.
-            settings: Say what is too old, too fast, and a jump.
+            settings: Limits of age, speed and jumps.
 
         """
         (x, y, theta), (v, w) = pose.tolist(), twist.tolist()
@@ -87,12 +87,12 @@ class OdometryCheck:
         return found
 
     def _impossible(self, x: float, y: float, v: float, w: float) -> str:
-        """Return why no such robot is at a place [m] with a velocity [m/s, rad/s]."""
+        """Return why a place [m] and a velocity [m/s, rad/s] are impossible, empty if not."""
         near, slow = (abs(x) <= _FARTHEST >= abs(y)), (abs(v) <= _FASTEST >= abs(w))
-        if not (near and slow):  # also what is not a number
+        if not (near and slow):  # NaN too
             return (
-                f"odometry is no robot's: x {x:.3g} m, y {y:.3g} m, v {v:.3g} m/s, w "
-                f"{w:.3g} rad/s: check its units"
+                f"odometry out of range: x {x:.3g} m, y {y:.3g} m, v {v:.3g} m/s, w {w:.3g} rad/s; "
+                "check its units"
             )
         names = ("linear", "m/s"), ("angular", "rad/s")
         for (name, unit), value, limit, more in zip(
@@ -100,8 +100,8 @@ class OdometryCheck:
         ):
             if abs(value) > _FASTER * limit + more:
                 return (
-                    f"odometry says {value:.3g} {unit}, and max_{name}_vel is {limit:g}: check its "
-                    "units, and who else drives the robot"
+                    f"odometry says {value:.3g} {unit}, but max_{name}_vel is {limit:g}: check its "
+                    "units, and whether another node drives the robot"
                 )
         return ""
 
@@ -112,7 +112,7 @@ class OdometryCheck:
         twist: tuple[float, float],
         settings: Settings,
     ) -> OdometryProblem | None:
-        """Return how a message does not go with the one before."""
+        """Return why a message contradicts the one before, None if it does not."""
         if self._stamp is None:
             return None
         tolerance = settings.controller.odom_jump_tolerance
@@ -144,14 +144,14 @@ class OdometryCheck:
     ) -> OdometryProblem | None:
         """Return why a robot may be elsewhere after stamps [s] that went back or ended for a time.
 
-        It was told to stop, but nobody knows how soon, so it may have come as far as it could.
+        It was told to stop, but not surely in time, so it may have driven as far as it could.
         """
         self._unexplained = (0.0, 0.0)
         if moved > max(elapsed, 0.0) * self._fastest[0] + tolerance:
             how = f"came {elapsed:.1f} s later" if elapsed > 0.0 else "went back in time"
             return OdometryProblem(
-                f"odometry {how}, and is {moved:.2f} m from where it was: has its source begun "
-                "anew, or was the robot carried?",
+                f"odometry {how}, and is {moved:.2f} m from where it was: was its source restarted "
+                "or the robot carried?",
                 lasts=True,
             )
         if elapsed < 0.0:
@@ -161,7 +161,7 @@ class OdometryCheck:
     def _drift_problem(
         self, moved: tuple[float, float], explained: float, elapsed: float, tolerance: float
     ) -> OdometryProblem | None:
-        """Return how motion [m] that velocities do not explain adds up; noise does not."""
+        """Return a problem if motion [m] that velocities do not explain adds up; noise does not."""
         distance = math.hypot(*moved)
         share = 1.0 - explained / distance if distance > explained else 0.0
         kept = math.exp(-elapsed / _MEMORY)
@@ -179,7 +179,7 @@ class OdometryCheck:
 
 
 def stamp_problem(now: int, stamp: int, controller: ControllerSettings) -> str:
-    """Return why odometry with a stamp [ns] says nothing about now [ns], empty if it does."""
+    """Return why a stamp [ns] is too far from the present time [ns], empty if it is not."""
     age = (now - stamp) / _NANOSECONDS
     if age > controller.odom_timeout:
         return f"odometry is {age:.2f} s old by its stamp: are the clocks synchronised?"

@@ -1,4 +1,4 @@
-"""Whether the robot may move, and if not, why and what helps."""
+"""Decides whether the robot may move; if not, gives cause and remedy."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SETTLED = 0.2  # [s] of sound odometry after wrong odometry: every second messa
 
 
 def deviation(error: FloatArray, controller: ControllerSettings) -> str:
-    """Return how an error [s, y, theta] is above what the user allows, empty if it is not."""
+    """Return how an error [s, y, theta] exceeds the user's limits, empty if it does not."""
     _, cross_track, heading = abs(error).tolist()
     if cross_track > controller.max_cross_track_error:
         limit = controller.max_cross_track_error
@@ -50,8 +50,8 @@ class Supervisor:
     """Decide from the inputs' freshness and soundness whether the robot may move.
 
     A fault of the odometry, of the clock or of the command clears itself when sound odometry
-    returns; that the robot was too far from the path, or may have been carried, stays until
-    `resume`. Times are steady seconds: they go on when the ROS clock stands still.
+    returns. A robot that was too far from the path, or may have been carried, waits for `resume`.
+    Times are steady seconds: they advance while the ROS clock stands still.
     """
 
     def __init__(self, odom_timeout: float) -> None:
@@ -72,13 +72,13 @@ class Supervisor:
         self._stopped = False
 
     def renewed(self) -> Supervisor:
-        """Return one that knows of no path and no odometry, and of what waits for `resume`."""
+        """Return a supervisor without path and odometry that keeps the causes to `resume`."""
         other = Supervisor(self.odom_timeout)
         other._stopped, other._deviation = self._stopped, self._deviation
         return other
 
     def odometry_received(self, now: float, problem: OdometryProblem | None = None) -> None:
-        """Note a message, and what is wrong with it."""
+        """Note a message and its problem, None if it is sound."""
         self._odometry_time = now
         self._command_problem = ""
         if problem is not None:
@@ -92,11 +92,11 @@ class Supervisor:
                 self._odometry_problem = ""
 
     def tick(self, now: float) -> None:
-        """Note that the control timer goes on."""
+        """Note a turn of the control timer."""
         self._tick_time = now
 
     def clock_missing(self, missing: bool) -> None:
-        """Note whether the clock that control steps go by has not been heard yet."""
+        """Note whether the clock of the control steps is still missing."""
         self._clock_missing = missing
 
     def path_received(self) -> None:
@@ -129,7 +129,7 @@ class Supervisor:
         self._deviation = problem
 
     def stop(self) -> None:
-        """Stop on the user's demand."""
+        """Stop on request."""
         self._stopped = True
 
     def resume(self) -> None:
@@ -145,16 +145,18 @@ class Supervisor:
         return self._waiting() or self._fault(now) or self._going()
 
     def patience(self, now: float) -> float:
-        """Return how long silence would be no fault yet, at a steady time [s]."""
+        """Return how long inputs may stay silent [s] from a steady time [s] on."""
         heard = (self._odometry_time, self._tick_time)
         oldest = min((time for time in heard if time is not None), default=now)
         return oldest + self.odom_timeout - now
 
     def _waiting(self) -> Status | None:
-        """Return what is waited for, if anything."""
+        """Return the status of a missing input, None if there is none."""
         if self._clock_missing:
             return Status(
-                State.WAITING, "no time on /clock", "start what publishes it, or unset use_sim_time"
+                State.WAITING,
+                "no time on /clock",
+                "start the publisher of /clock, or unset use_sim_time",
             )
         if not self._has_path:
             return Status(State.WAITING, "no path", "publish a nav_msgs/Path on 'path'")
@@ -165,35 +167,35 @@ class Supervisor:
         return None
 
     def _fault(self, now: float) -> Status | None:
-        """Return what forbids to move, if anything."""
+        """Return the status of a fault, None if there is none."""
         assert self._odometry_time is not None  # else it is waited for
         timeout = self.odom_timeout
         faults = (
             (
                 now - self._odometry_time > timeout,
                 f"no odometry for more than {timeout:g} s",
-                "check the odometry source; following goes on when it returns",
+                "check the odometry source; the robot resumes when it returns",
             ),
             (
                 self._tick_time is not None and now - self._tick_time > timeout,
                 f"no control step for more than {timeout:g} s",
-                "check /clock, which may stand still; following goes on when it does",
+                "check /clock, which may stand still; the robot resumes with it",
             ),
-            (bool(self._deviation), self._deviation, f"see to the robot, then {_RESUME}"),
+            (bool(self._deviation), self._deviation, f"check the robot, then {_RESUME}"),
             (
                 bool(self._odometry_problem),
                 self._odometry_problem,
-                "check the odometry source; following goes on with sound messages",
+                "check the odometry source; the robot resumes with sound messages",
             ),
             (
                 bool(self._command_problem),
                 self._command_problem,
-                "following goes on with the next odometry",
+                "the robot resumes with the next odometry",
             ),
             (
                 bool(self._limit_problem),
                 self._limit_problem,
-                "following goes on with a speed limit above 0; to stop the robot, call ~/stop",
+                "the robot resumes with a speed limit above 0; to stop it, call ~/stop",
             ),
             (
                 bool(self._goal_problem),

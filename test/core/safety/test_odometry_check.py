@@ -65,9 +65,9 @@ def test_what_a_robot_can_do_is_no_fault(seed, period, fastest, noise):
         ({"stamp": 10.02, "pose": (0, 0, 0), "now": 9.0}, "1.02 s ahead by its stamp"),
         (
             {"stamp": 10.02, "pose": (0, 0, 0), "twist": (50.0, 0)},
-            "50 m/s, and max_linear_vel is 10",
+            "50 m/s, but max_linear_vel is 10",
         ),
-        ({"stamp": 10.02, "pose": (0, 0, 0), "twist": (0, 19.0)}, "19 rad/s, and max_angular_vel"),
+        ({"stamp": 10.02, "pose": (0, 0, 0), "twist": (0, 19.0)}, "19 rad/s, but max_angular_vel"),
         ({"stamp": 10.02, "pose": (0, 0, 0), "now": 10.03}, ""),
     ],
 )

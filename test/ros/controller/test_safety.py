@@ -38,7 +38,7 @@ def silent_after_stop(drive: Drive) -> bool:
     [
         ({"later": -1.0}, "old by its stamp: are the clocks synchronised?"),
         ({"later": 3600.0}, "ahead by its stamp: are the clocks synchronised?"),
-        ({"v": 50.0}, "odometry says 50 m/s, and max_linear_vel is 1"),
+        ({"v": 50.0}, "odometry says 50 m/s, but max_linear_vel is 1"),
         ({"frame_id": ""}, "odometry has no frame: set header.frame_id"),
         ({"child_frame_id": "other"}, "odometry is of 'other' now, and was of 'base_link'"),
     ],
