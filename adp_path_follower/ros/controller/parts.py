@@ -1,4 +1,4 @@
-"""What the controller node consists of between configuration and cleanup."""
+"""The parts of the controller node between configuration and cleanup."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class PathRequest:
 
 @dataclass(frozen=True)
 class PathAnswer:
-    """What became of a path.
+    """The outcome of a path request.
 
     Attributes:
         request: What was asked.

@@ -1,4 +1,4 @@
-"""Where a recording comes from: host, versions, settings and the workspace's revision."""
+"""The origin of a recording: host, versions, settings and the workspace's revision."""
 
 from __future__ import annotations
 

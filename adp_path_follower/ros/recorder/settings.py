@@ -33,7 +33,7 @@ _LEAST_DURATION, _LEAST_SIZE = 1.0, 100_000  # [s], [bytes]: smaller files are a
 
 @dataclass(frozen=True)
 class TopicSettings:
-    """What is recorded."""
+    """Content of the recording."""
 
     topics: tuple[str, ...] = setting(
         RUN_TOPICS,
@@ -48,7 +48,7 @@ class TopicSettings:
 
 @dataclass(frozen=True)
 class BagSettings:
-    """Where and how it is recorded."""
+    """Place and form of the recording."""
 
     output: str = setting(
         "",

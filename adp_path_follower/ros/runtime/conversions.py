@@ -26,7 +26,7 @@ class MessageError(AdpError, ValueError):
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the controller uses of an odometry message.
+    """The parts of an odometry message that the controller uses.
 
     Attributes:
         stamp: Time of the message [ns].

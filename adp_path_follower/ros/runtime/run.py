@@ -20,7 +20,7 @@ from adp_path_follower.ros.runtime.stop_request import StopRequest
 
 
 class RunnableNode(Protocol):
-    """What `run_node` asks of a node beyond rclpy's own.
+    """A node that `run_node` can run: more than rclpy asks for.
 
     Attributes:
         finished: Whether it has nothing more to do.

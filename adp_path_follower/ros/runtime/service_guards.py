@@ -1,4 +1,4 @@
-"""What rclpy leaves to chance: clients' mistakes, and transitions that fail."""
+"""Guards services against bad requests and logs failed lifecycle transitions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 
-# What rclpy raises where a client is wrong. All else is a defect of ours, which ends the node.
+# Texts that rclpy raises for wrong requests. Any other error is a defect and ends the node.
 _CLIENTS_MISTAKES = ("Transition is not registered", "is not a valid Parameter.Type")
 
 

@@ -1,4 +1,4 @@
-"""What asks a node to end: a signal, or the death of the process that started it."""
+"""Requests to end a node: a signal, or the death of the process that started it."""
 
 from __future__ import annotations
 
