@@ -19,7 +19,7 @@ from adp_path_follower.core.files import output_to
 
 
 def check_figure(file: FilePath | None) -> None:
-    """Refuse a figure of a kind that cannot be drawn, before any work is done.
+    """Reject a figure of a kind that cannot be drawn, before any work is done.
 
     Raises:
         FileError: Its name does not end in a known kind of picture.
@@ -51,7 +51,7 @@ def write_npz(file: FilePath, arrays: dict[str, Any]) -> None:
 
 
 def check_writable(*files: FilePath | None) -> None:
-    """Refuse output files that cannot be written, before any work is done.
+    """Reject output files that cannot be written, before any work is done.
 
     Raises:
         FileError: A folder is missing or not writable, the file is a directory, or two are one.
@@ -93,7 +93,7 @@ def new_directory(directory: FilePath) -> FilePath:
 def output_directory(directory: FilePath, keep: bool = False) -> Iterator[FilePath]:
     """Make an output directory, and take back what the block has written if the block fails.
 
-    Half a report is of no use, and the same command again would be refused because of it.
+    Half a report is of no use, and the same command again would be rejected because of it.
 
     Args:
         directory: Where the output goes: a new or empty directory.

@@ -126,7 +126,7 @@ def replay(
 
 
 def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
-    """Refuse options that would do nothing beside others.
+    """Reject options that would do nothing beside others.
 
     Raises:
         AdpError: There is one; the sentence names both.

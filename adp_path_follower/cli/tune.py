@@ -72,7 +72,7 @@ def tune(
     One setting of mine:  adp tune --params my.yaml --vary actor_gain --out DIR
     How long it takes:    adp tune TUNE.yaml --dry-run
 
-    `adp docs sweeps` explains TUNE.yaml. Settings that the validation refuses, or that are unstable
+    `adp docs sweeps` explains TUNE.yaml. Settings that the validation rejects, or that are unstable
     in any run, are never proposed. Prints what was found and which settings matter, and writes
     best.yaml, which the node loads. An interrupted search goes on with the same command.
     """

@@ -181,7 +181,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._publish_configuration()
 
     def _refuse_path(self, problem: str) -> None:
-        self.get_logger().error(f"path refused: {problem}")
+        self.get_logger().error(f"path rejected: {problem}")
         self._publish_diagnostics()
 
     def _answer_speed_limit(self, problem: str) -> None:

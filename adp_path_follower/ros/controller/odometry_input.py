@@ -1,4 +1,4 @@
-"""The topic `odom`: what comes in is read, checked, and taken or refused."""
+"""The topic `odom`: what comes in is read, checked, and taken or rejected."""
 
 from __future__ import annotations
 

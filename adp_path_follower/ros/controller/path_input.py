@@ -1,4 +1,4 @@
-"""The topic `path`: what comes in is prepared aside, then taken over, refused, or removed."""
+"""The topic `path`: what comes in is prepared aside, then taken over, rejected, or removed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PathInput:
 
     Attributes:
         followed: What is followed, None without a path.
-        problem: Why the last path was refused, empty if it was not.
+        problem: Why the last path was rejected, empty if it was not.
 
     """
 
@@ -67,7 +67,7 @@ class PathInput:
     def odometry_in(self, frame: str) -> None:
         """Note the odometry's frame; where it has changed, the path is needed in the new one.
 
-        So is one that was refused: the frame may have been the reason.
+        So is one that was rejected: the frame may have been the reason.
         """
         changed, self._odom_frame = frame != self._odom_frame, frame
         if self.followed is not None and self.followed.followed_frame != frame:
@@ -103,7 +103,7 @@ class PathInput:
         self._intake.submit(request)
 
     def _take(self) -> None:
-        """Take over a path that has been prepared, or refuse it and go on with the present one."""
+        """Take over a path that has been prepared, or reject it and go on with the present one."""
         found = self._intake.take(self._settings(), self._odom_frame)
         if found is None:
             return

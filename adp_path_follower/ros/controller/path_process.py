@@ -65,7 +65,7 @@ def route_of_message(raw: bytes, transform: tuple[float, ...], settings: PathSet
 
 
 def reason(error: Exception) -> str:
-    """Return why a path is refused, as a sentence."""
+    """Return why a path is rejected, as a sentence."""
     if isinstance(error, AdpError):
         return str(error)
     if isinstance(error, CdrError):

@@ -46,10 +46,10 @@ class PathAnswer:
     Attributes:
         request: What was asked.
         frame: Frame of the message.
-        route: The route in the odometry's frame; None if it was refused.
+        route: The route in the odometry's frame; None if it was rejected.
         transform: x [m], y [m], turn [rad] of the message's frame in the odometry's, empty if they
             are the same.
-        problem: Why it was refused, empty if it was not.
+        problem: Why it was rejected, empty if it was not.
         may_come: Whether a transform that is not known yet may still come.
 
     """

@@ -41,4 +41,4 @@ class SpeedLimitInput:
             problem = "" if result.successful else result.reason
         except SettingsError as error:
             problem = str(error)
-        self._answer(problem and f"speed limit refused: {problem}")
+        self._answer(problem and f"speed limit rejected: {problem}")

@@ -222,7 +222,7 @@ class Telemetry:
         path_problem: str,
         values: dict[str, str],
     ) -> None:
-        """Publish state and cause, whether the last path was refused, and how learning goes.
+        """Publish state and cause, whether the last path was rejected, and how learning goes.
 
         On /diagnostics always, with all values; on ~/status, which is latched, when it changes.
 
@@ -230,7 +230,7 @@ class Telemetry:
             time: Present time [ns].
             status: State, cause and remedy.
             since: When the state began [ns].
-            path_problem: Why the last path was refused, empty if it was not.
+            path_problem: Why the last path was rejected, empty if it was not.
             values: Further values for /diagnostics.
 
         """
@@ -242,7 +242,7 @@ class Telemetry:
         )
         message = status.state.value + (f": {status.cause}" if status.cause else "")
         if path_problem:
-            message += f"; path refused: {path_problem}"
+            message += f"; path rejected: {path_problem}"
         if learning_problem:
             message += f"; Riccati policy instead of the learned one: {learning_problem}"
         details = {

@@ -77,7 +77,7 @@ class BagSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse files that hold next to nothing."""
+        """Reject files that hold next to nothing."""
         if 0 < self.max_duration < _LEAST_DURATION:
             raise SettingsError(
                 f"setting 'max_duration' is {self.max_duration!r}, but must be 0 or at least "

@@ -32,7 +32,7 @@ def declare_settings(node: Node, tree: type[Tree]) -> Tree:
     """Declare every setting of a tree as a parameter and return the settings.
 
     The node must have been made with ``automatically_declare_parameters_from_overrides=True``,
-    so that names in a parameter file that are no settings are seen, and refused.
+    so that names in a parameter file that are no settings are seen, and rejected.
 
     Raises:
         SettingsError: A parameter given to the node is unknown, of the wrong type or out of
@@ -55,7 +55,7 @@ class LiveSettings(Generic[Tree]):
     """Parameters that change while a node runs: checked as a set, then taken over at once.
 
     ROS asks first whether it may change some parameters, and tells when it has. What another
-    callback refuses in between must leave the node as it was, so the change is prepared when ROS
+    callback rejects in between must leave the node as it was, so the change is prepared when ROS
     asks, and taken over when it tells.
     """
 
@@ -97,12 +97,12 @@ class LiveSettings(Generic[Tree]):
             elif parameter.type_ not in (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY):
                 return parameter
             return Parameter(parameter.name, value=_ros_value(checked(field, value)))
-        except ValueError:  # it is refused in a moment, with all others
+        except ValueError:  # it is rejected in a moment, with all others
             pass
         return parameter
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse a change with one sentence, or prepare it."""
+        """Reject a change with one sentence, or prepare it."""
         self._prepared = None
         try:
             settings = update(self._settings, own_values(parameters))

@@ -55,7 +55,7 @@ class Ending:
 def run_node(name: str, make_node: Callable[[], Node]) -> int:
     """Spin a node until it is asked to stop or is finished; return the exit code.
 
-    0 after a regular end, 1 after an error while running, 2 if the node refused its settings.
+    0 after a regular end, 1 after an error while running, 2 if the node rejected its settings.
     Errors are logged as one sentence.
     """
     with unblocked_stderr():
@@ -114,7 +114,7 @@ def _made(make_node: Callable[[], Node]) -> Node:
     """Return the node.
 
     Raises:
-        AdpError: It refused its settings, or rclpy did.
+        AdpError: It rejected its settings, or rclpy did.
 
     """
     try:

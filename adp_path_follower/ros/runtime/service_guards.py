@@ -31,7 +31,7 @@ def told_if_it_fails(transition: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def defend_services(node: Node) -> None:
-    """Refuse what clients must not ask of the services that the node has now.
+    """Reject what clients must not ask of the services that the node has now.
 
     rclpy raises for transitions that there are not from the present state, and for values of a type
     that it does not know.
@@ -48,7 +48,7 @@ def _defended(callback: Callable[..., Any], name: str, node: Node) -> Callable[.
             if not any(mistake in str(error) for mistake in _CLIENTS_MISTAKES):
                 raise
             reason = " ".join(str(error).split()).split(", at /")[0]
-            node.get_logger().error(f"{name} refused: {reason}")
+            node.get_logger().error(f"{name} rejected: {reason}")
             if hasattr(response, "results"):  # one for each parameter
                 refused = SetParametersResult(successful=False, reason=reason)
                 response.results = [refused] * len(request.parameters)

@@ -88,7 +88,7 @@ def test_a_speed_limit_that_cannot_hold_stops_the_robot_until_one_can(drive):
     for value in (0.0, float("nan"), -1.0):
         limit.publish(Float64(data=value))
         drive.until_stopped()
-        drive.until_diagnosed("speed limit refused: setting 'speed_limit' is")
+        drive.until_diagnosed("speed limit rejected: setting 'speed_limit' is")
         assert stands(drive, 0.3)
         limit.publish(Float64(data=0.4))
         drive.until_moving()
@@ -135,7 +135,7 @@ def test_clients_cannot_end_the_controller(drive):
     assert [result.successful for result in results] == [False, False]
     assert "77" in results[0].reason
     drive.until_moving()
-    assert "refused: " in drive.controller.output()
+    assert "rejected: " in drive.controller.output()
 
 
 def test_a_stop_of_an_inactive_controller_says_nothing(drive):

@@ -155,7 +155,7 @@ def test_a_bad_path_is_refused_and_the_present_one_goes_on(drive, kind, cause):
     drive.peer.path.publish(_broken_path(kind))
     drive.until_diagnosed(cause)
     drive.until_moving()
-    assert f"path refused: {cause}" in drive.controller.output()
+    assert f"path rejected: {cause}" in drive.controller.output()
     drive.peer.send_path("circle:0.5")
     drive.peer.until(lambda: "new path: closed" in drive.controller.output(), "the next good path")
     drive.until_moving()
@@ -276,7 +276,7 @@ def test_descriptors_come_from_the_settings():
 BROKEN_CONTROLLER = """
 import sys
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.ros import controller_process
+from adp_path_follower.ros.controller import process as controller_process
 
 step_at, steps = PathFollower.step_at, []
 

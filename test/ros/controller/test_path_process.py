@@ -145,7 +145,8 @@ def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd):
 
 ENDING_BEFORE_ITS_PATH = """
 import sys, threading, time
-from adp_path_follower.ros import controller_process, path_process
+from adp_path_follower.ros.controller import path_process
+from adp_path_follower.ros.controller import process as controller_process
 from adp_path_follower.ros.controller.node import PathFollowerNode
 
 gone = threading.Event()
@@ -218,7 +219,7 @@ def test_a_path_that_the_process_is_killed_at_is_refused_and_the_next_is_not(dri
     drive.peer.send_path("circle:0.5")
     drive.peer.spin(0.5)
     os.kill(fitting, signal.SIGKILL)
-    drive.until_diagnosed("path refused: path cannot be prepared: the process at work on it has")
+    drive.until_diagnosed("path rejected: path cannot be prepared: the process at work on it has")
     drive.until_moving()  # along the path before
     drive.peer.send_path("circle:0.4")
     until_followed(drive, 2)
@@ -239,7 +240,8 @@ def test_a_process_that_is_stopped_hinders_neither_a_cleanup_nor_the_end(drive):
 
 LITTLE_PATIENCE = """
 import sys
-from adp_path_follower.ros import controller_process, path_process
+from adp_path_follower.ros.controller import path_process
+from adp_path_follower.ros.controller import process as controller_process
 
 answer = path_process.FittingProcess._answer
 
@@ -263,7 +265,7 @@ def test_a_path_that_a_stopped_process_does_not_prepare_is_refused(peer, domain,
         (fitting,) = children(process.pid)
         os.kill(fitting, signal.SIGSTOP)
         peer.send_path("circle:0.5")
-        drive.until_diagnosed("path refused: path was not prepared within 1 s")
+        drive.until_diagnosed("path rejected: path was not prepared within 1 s")
         _until_dead(fitting)
         drive.until_moving()
         process.terminate()

@@ -235,7 +235,8 @@ def test_a_transform_that_comes_late_is_asked_for_again():
 
 WITH_FRAMES = """
 import sys
-from adp_path_follower.ros import controller_process, path_input
+from adp_path_follower.ros.controller import path_input
+from adp_path_follower.ros.controller import process as controller_process
 
 
 class Known:

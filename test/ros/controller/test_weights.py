@@ -98,7 +98,8 @@ def test_saving_while_driving(peer, start, tmp_path):
 SAVE = "path_follower/save_weights"
 SLOW_DISK = """
 import sys
-from adp_path_follower.ros import controller_process, weights
+from adp_path_follower.ros.controller import weights
+from adp_path_follower.ros.controller import process as controller_process
 
 write = weights.write_weights
 
