@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
+Number = FloatArray | float  # of shape (...), or the same for all
 
 
 def components(*parts: FloatArray) -> FloatArray:

@@ -70,7 +70,7 @@ def draw(follower: PathFollower, rows: FloatArray, file: FilePath) -> None:
     with plt.rc_context(STYLE):
         figure, (upper, lower) = plt.subplots(2, sharex=True, figsize=(7.0, 4.5))
         place = np.linspace(0.0, 6.5, 2000)
-        planned = follower.profile.speed(place)
+        planned = np.broadcast_to(follower.profile.speed(place), place.shape)
         shown = rows[rows[:, 0] <= place[-1]]
         upper.plot(place, planned, color=COLORS[1], label="planned, v_des(s_p)", linewidth=3.0)
         upper.plot(shown[:, 0], shown[:, 2], color=COLORS[0], label="driven", linewidth=1.0)
@@ -93,7 +93,7 @@ def main() -> None:
     for radius in (0.05, 0.1, 0.12, 0.14, 0.15, 0.3):
         path = rounded_square(radius)
         follower, places, rows = drive(path, 35.0)
-        slowest = follower.profile.speed(np.linspace(0.0, path.length, 5000)).min()
+        slowest = np.min(follower.profile.speed(np.linspace(0.0, path.length, 5000)))
         corners = max(np.hypot(*(places - corner).T).min() for corner in _CORNERS[1:])
         changes = np.abs(np.diff(rows[:, 2:], axis=0)).max(axis=0) / _PERIOD
         print(

@@ -76,7 +76,7 @@ def learning_step(weights: int, samples: int) -> Callable[[], object]:
     """Return the Bellman errors of N samples and the solution for L weights."""
     model = knot_model(weights, samples)
     ahead = np.random.default_rng(0).normal(size=weights)
-    return lambda: fit(model.equations(slice(0, samples), ahead, 0.1))
+    return lambda: fit(model.equations(slice(0, samples), ahead, 0.1, 0.5))
 
 
 def bare_products(weights: int, samples: int) -> Callable[[], object]:

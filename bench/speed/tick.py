@@ -77,7 +77,7 @@ def parts() -> dict[str, Callable[[], object]]:
     model = SampledModel(settings, paper.path)
     knots, ahead = KnotModel(default.settings, 0.2), default.weights.critic
     step = default.settings.learning.samples_per_step
-    equations = knots.equations(slice(None), ahead, 0.1)
+    equations = knots.equations(slice(None), ahead, 0.1, 0.5)
     rng = np.random.default_rng(0)
     matrix, vector = np.eye(9) + 0.1 * rng.standard_normal((9, 9)), rng.standard_normal(9)
     return {
@@ -91,7 +91,7 @@ def parts() -> dict[str, Callable[[], object]]:
         ),
         "paper: certificate": lambda: excitation(output.sampled.information),
         f"default: Bellman errors, {step} samples": lambda: knots.equations(
-            slice(0, step), ahead, 0.1
+            slice(0, step), ahead, 0.1, 0.5
         ),
         "default: solve for a knot, 80 weights": lambda: fit(equations),
     }

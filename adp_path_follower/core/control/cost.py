@@ -7,7 +7,7 @@ import numpy as np
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray, advance_pose, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
-from adp_path_follower.core.path.speed_profile import SpeedProfile
+from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedProfile
 from adp_path_follower.core.settings.groups import CostSettings, Settings
 
 
@@ -43,7 +43,7 @@ class MotionCost:
         """
         self._target, self._path = settings.target, path
         self._running_cost = RunningCost(settings.cost)
-        self._profile = profile if profile is not None and profile.varies else None
+        self._profile = profile or ConstantSpeed(settings.target)
 
     def __call__(
         self,
@@ -83,7 +83,7 @@ class MotionCost:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the running cost and the speed of the virtual target at a frame of the path."""
         error = tracking_error(pose, frame.pose)
-        v_des = None if self._profile is None else self._profile.speed(arc_length)
-        modified_input = twist - error_dynamics.feedforward(frame.curvature, self._target, v_des)
+        v_des = self._profile.speed(arc_length)
+        modified_input = twist - error_dynamics.feedforward(frame.curvature, v_des)
         cost_rate = self._running_cost(error, modified_input)
         return cost_rate, error_dynamics.target_speed(error, self._target, v_des)

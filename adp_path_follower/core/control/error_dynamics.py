@@ -2,8 +2,8 @@
 
 The state is zeta = [s, y, theta, phi]: the position error along the tangent [m] and the normal
 [m] of the path, the heading error [rad], and the compact path state phi = tanh(k2 s_p). Every
-function broadcasts over leading axes. v_des is the setting `desired_speed`, or what a speed profile
-has at each state's place.
+function broadcasts over leading axes. v_des is the speed along the path [m/s] at each state's
+place, of shape (...), or one number for all.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from adp_path_follower.core.geometry import (
     FloatArray,
+    Number,
     components,
     contiguous,
     cos,
@@ -22,13 +23,10 @@ from adp_path_follower.core.geometry import (
 from adp_path_follower.core.settings.groups import TargetSettings
 
 
-def target_speed(
-    error: FloatArray, target: TargetSettings, v_des: FloatArray | None = None
-) -> FloatArray:
+def target_speed(error: FloatArray, target: TargetSettings, v_des: Number) -> FloatArray:
     """Return the virtual target's speed s_p' = v_des cos(theta) + k1 s [m/s], shape (...)."""
     along, _, theta, *_ = numbers(error)
-    speed = target.desired_speed if v_des is None else v_des
-    return speed * cos(theta) + target.target_gain * along
+    return v_des * cos(theta) + target.target_gain * along
 
 
 def path_state(arc_length: FloatArray, target: TargetSettings) -> FloatArray:
@@ -41,39 +39,32 @@ def arc_length_of(phi: FloatArray, target: TargetSettings) -> FloatArray:
     return np.asarray(np.arctanh(contiguous(phi)) / target.path_state_gain)
 
 
-def feedforward(
-    curvature: FloatArray, target: TargetSettings, v_des: FloatArray | None = None
-) -> FloatArray:
+def feedforward(curvature: FloatArray, v_des: Number) -> FloatArray:
     """Return the input that keeps a robot on the path, [v_ss, w_ss] = v_des [1, kappa]."""
-    speed = target.desired_speed if v_des is None else v_des
     if not isinstance(curvature, float):
-        speed = np.full_like(curvature, speed)
-    return components(speed, speed * curvature)
+        v_des = np.full_like(curvature, v_des)
+    return components(v_des, v_des * curvature)
 
 
 def drift(
-    zeta: FloatArray,
-    curvature: FloatArray,
-    target: TargetSettings,
-    v_des: FloatArray | None = None,
+    zeta: FloatArray, curvature: FloatArray, target: TargetSettings, v_des: Number
 ) -> FloatArray:
     """Return f of zeta' = f(zeta) + g(zeta) u, shape (..., 4).
 
     Args:
         zeta: States, shape (..., 4).
         curvature: kappa [1/m] at each state's place on the path, shape (...).
-        target: k1, k2 and, unless it is given, v_des.
+        target: k1 and k2.
         v_des: Speed along the path [m/s] at each state's place, shape (...).
 
     """
     s, y, theta, phi = numbers(zeta)
     speed = target_speed(zeta, target, v_des)
-    along = target.desired_speed if v_des is None else v_des
     # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
     return components(
-        speed * (curvature * y - 1.0) + along * cos(theta),
-        along * sin(theta) - curvature * s * speed,
-        curvature * (along - speed),
+        speed * (curvature * y - 1.0) + v_des * cos(theta),
+        v_des * sin(theta) - curvature * s * speed,
+        curvature * (v_des - speed),
         target.path_state_gain * (1.0 - phi * phi) * speed,
     )
 

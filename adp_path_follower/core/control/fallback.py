@@ -17,7 +17,7 @@ from adp_path_follower.core.basis import half_angle_state, make_basis
 from adp_path_follower.core.control.error_dynamics import input_matrix
 from adp_path_follower.core.control.policy import actor_input, saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.geometry import FloatArray, clamped, where
+from adp_path_follower.core.geometry import FloatArray, Number, clamped, where
 from adp_path_follower.core.settings.groups import Settings
 
 _MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
@@ -48,9 +48,7 @@ class RiccatiPolicy:
         wanted = actor_input(weights, input_gradient, self._input_cost_inverse)
         return saturate(wanted, feedforward, self._limits)
 
-    def value(
-        self, zeta: FloatArray, curvature: FloatArray, v_des: FloatArray | None = None
-    ) -> FloatArray:
+    def value(self, zeta: FloatArray, curvature: FloatArray, v_des: Number) -> FloatArray:
         """Return q^T P q at states (..., 4), shape (...)."""
         half_angle_error = half_angle_state(zeta)[..., :3]
         matrix = self._riccati.matrix(curvature, v_des)

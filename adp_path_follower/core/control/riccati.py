@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg import solve_continuous_are
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import SpeedProfile
+from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedProfile
 from adp_path_follower.core.settings.groups import CostSettings, TargetSettings
 
 INPUT_MATRIX = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])  # B
@@ -30,11 +30,8 @@ _SPEED_NODES = 8  # ... so many speeds, in geometric progression
 _MOST_CURVATURE = 10.0  # [1/m] of the table: sharper bends are taken for this
 
 
-def system_matrix(
-    curvature: float, target: TargetSettings, speed: float | None = None
-) -> FloatArray:
+def system_matrix(curvature: float, target: TargetSettings, speed: float) -> FloatArray:
     """Return A of the error dynamics linearised about the path, shape (3, 3)."""
-    speed = target.desired_speed if speed is None else speed
     gain = target.target_gain
     return np.array(
         [
@@ -46,16 +43,16 @@ def system_matrix(
 
 
 def riccati_solution(
-    curvature: float, target: TargetSettings, cost: CostSettings, speed: float | None = None
+    curvature: float, speed: float, target: TargetSettings, cost: CostSettings
 ) -> FloatArray:
-    """Return P, shape (3, 3), at a curvature [1/m] and a speed [m/s], by default desired_speed.
+    """Return P, shape (3, 3), at a curvature [1/m] and a speed [m/s].
 
     Raises:
         SettingsError: The numbers are too extreme for a solution.
 
     """
-    speeds = np.full(1, target.desired_speed if speed is None else speed)
-    return np.asarray(riccati_solutions(np.full(1, curvature), speeds, target, cost)[0])
+    found = riccati_solutions(np.full(1, curvature), np.full(1, speed), target, cost)
+    return np.asarray(found[0])
 
 
 def riccati_solutions(
@@ -143,7 +140,7 @@ class RiccatiSchedule:
         path: Path,
         target: TargetSettings,
         cost: CostSettings,
-        profile: SpeedProfile | None = None,
+        profile: SpeedProfile | ConstantSpeed | None = None,
     ) -> None:
         """Solve the Riccati equation over the curvatures of the path, and the speeds of a profile.
 
@@ -154,17 +151,16 @@ class RiccatiSchedule:
         low, high = path.curvature_range
         low = max(min(low, 0.0), -_MOST_CURVATURE)  # the tangents beyond the ends are straight
         high = min(max(high, 0.0), _MOST_CURVATURE)
-        varies = profile is not None and profile.varies
-        most = _MOST_NODES_BY_SPEED if varies else _MOST_NODES
+        profile = profile or ConstantSpeed(target)
+        most = _MOST_NODES_BY_SPEED if profile.varies else _MOST_NODES
         count = int(np.clip(np.ceil((high - low) / _CURVATURE_STEP) + 1, 2, most))
         nodes = np.linspace(low, high, count) if high > low else np.array([0.0, 1.0])
         self._start, self._step = float(nodes[0]), float(nodes[1] - nodes[0])
         self._speeds: FloatArray | None = None  # logarithms
-        if not varies:
+        if not profile.varies:
             speeds = np.full(len(nodes), target.desired_speed)
             self.table = riccati_solutions(nodes, speeds, target, cost)
             return
-        assert profile is not None  # it varies
         speeds = np.geomspace(profile.slowest, profile.highest, _SPEED_NODES)
         self._speeds = np.log(speeds)
         table = riccati_solutions(
@@ -172,12 +168,12 @@ class RiccatiSchedule:
         )
         self.table = table.reshape(len(speeds), len(nodes), 3, 3)
 
-    def matrix(self, curvature: FloatArray, speed: FloatArray | None = None) -> FloatArray:
+    def matrix(self, curvature: FloatArray, speed: Number) -> FloatArray:
         """Return P at curvatures [1/m] and speeds [m/s] of shape (...), shape (..., 3, 3).
 
         Args:
             curvature: kappa; beyond the range of the table, what is at its end.
-            speed: v_des; needed where it varies.
+            speed: v_des, which a table of one speed does not ask for.
 
         """
         count = self.table.shape[-3]
@@ -187,7 +183,6 @@ class RiccatiSchedule:
         share = (position - node)[..., None, None]
         if self._speeds is None:
             return np.asarray((1.0 - share) * self.table[node] + share * self.table[node + 1])
-        assert speed is not None  # as it varies
         level, part = self._level(speed)
         slow, fast = (
             (1.0 - share) * self.table[row, node] + share * self.table[row, node + 1]
@@ -195,7 +190,7 @@ class RiccatiSchedule:
         )
         return np.asarray((1.0 - part) * slow + part * fast)
 
-    def _level(self, speed: FloatArray) -> tuple[np.ndarray, FloatArray]:
+    def _level(self, speed: Number) -> tuple[np.ndarray, FloatArray]:
         """Return the row of the table below speeds (...), and how far above it they are."""
         assert self._speeds is not None  # as it varies
         first, step = self._speeds[0], self._speeds[1] - self._speeds[0]

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray, clamped, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
-from adp_path_follower.core.path.speed_profile import SpeedReference
+from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedReference
 from adp_path_follower.core.settings.groups import TargetSettings
 
 _MOST_LEAD = 20.0  # [m] of the robot ahead of the target, or behind it, that sets its speed
@@ -21,7 +21,7 @@ class VirtualTarget:
 
     Attributes:
         arc_length: s_p [m], shape (...).
-        v_des: v_des there [m/s], shape (...); None if it is `desired_speed` everywhere.
+        v_des: v_des there [m/s], shape (...), or one number if it is the same everywhere.
 
     """
 
@@ -34,8 +34,9 @@ class VirtualTarget:
     ) -> None:
         """Start at arc lengths [m] of the path, with `desired_speed` if there is no reference."""
         self.arc_length = np.asarray(arc_length, dtype=float)
-        self.v_des: FloatArray | None = None
-        self._path, self._target, self._reference = path, target, reference
+        self._reference = reference or ConstantSpeed(target)
+        self.v_des = self._reference.speed(self.arc_length)
+        self._path, self._target = path, target
         self._most_speed = target.desired_speed + target.target_gain * _MOST_LEAD
         self._previous_error: FloatArray | None = None
 
@@ -64,18 +65,15 @@ class VirtualTarget:
             error = tracking_error(pose, self._path.frame(guess).pose)
             speed_after = self._speed(guess, error)
             self.arc_length = self.arc_length + 0.5 * dt * (speed_before + speed_after)
-            if self._reference is not None and self._reference.profile.stops:
+            if self._reference.stops:
                 self.arc_length = np.minimum(self.arc_length, self._path.length)
-        self.v_des = self._desired_speed(self.arc_length)
+        self.v_des = self._reference.speed(self.arc_length)
         frame = self._path.frame(self.arc_length)
         self._previous_error = tracking_error(pose, frame.pose)
         return frame, self._previous_error
 
-    def _desired_speed(self, arc_length: FloatArray) -> FloatArray | None:
-        return None if self._reference is None else self._reference.speed(arc_length)
-
     def _speed(self, arc_length: FloatArray, error: FloatArray) -> FloatArray:
-        v_des = self._desired_speed(arc_length)
+        v_des = self._reference.speed(arc_length)
         speed = error_dynamics.target_speed(error, self._target, v_des)
         limited: FloatArray = clamped(speed, -self._most_speed, self._most_speed)
         return limited

@@ -30,7 +30,7 @@ from adp_path_follower.core.control.far_from_path import WideRegion
 from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.policy import descending_input, saturate, within
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.geometry import FloatArray, components, cos, numbers, sin
+from adp_path_follower.core.geometry import FloatArray, Number, components, cos, numbers, sin
 from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.learning.learner import Evidence, Learner
 from adp_path_follower.core.learning.weights import LocalWeights, Weights
@@ -76,7 +76,7 @@ class Situation:
     Attributes:
         zeta: The state, shape (..., 4).
         curvature: kappa at the target [1/m], shape (...).
-        v_des: Speed along the path there [m/s], shape (...); None where it does not vary.
+        v_des: Speed along the path there [m/s], shape (...), or one number for all.
         feedforward: [v_ss, w_ss], shape (..., 2).
         heading: cos and sin of the heading error, numbers of shape (...).
         expansion: sigma and sigma'.
@@ -86,7 +86,7 @@ class Situation:
 
     zeta: FloatArray
     curvature: FloatArray
-    v_des: FloatArray | None
+    v_des: Number
     feedforward: FloatArray
     heading: Numbers
     expansion: Expansion
@@ -139,7 +139,7 @@ class CommandLaw:
         frame: PathFrame,
         error: FloatArray,
         arc_length: FloatArray,
-        v_des: FloatArray | None,
+        v_des: Number,
         dt: float,
     ) -> FollowerOutput:
         """Return command, cost and Bellman error of the present weights, equations (1) to (7).
@@ -181,7 +181,7 @@ class CommandLaw:
         )
 
     def situation(
-        self, frame: PathFrame, error: FloatArray, arc_length: FloatArray, v_des: FloatArray | None
+        self, frame: PathFrame, error: FloatArray, arc_length: FloatArray, v_des: Number
     ) -> Situation:
         """Return zeta, the feedforward and the value function where the robot is, equation (1)."""
         target, curvature = self.settings.target, frame.curvature[()]
@@ -192,7 +192,7 @@ class CommandLaw:
             zeta=zeta,
             curvature=curvature,
             v_des=v_des,
-            feedforward=error_dynamics.feedforward(curvature, target, v_des),
+            feedforward=error_dynamics.feedforward(curvature, v_des),
             heading=(cos(theta), sin(theta)),
             expansion=self._basis.expansion(zeta),
             local=self._learner.local(arc_length),

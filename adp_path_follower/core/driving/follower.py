@@ -210,7 +210,5 @@ class PathFollower:
         other._target = self._target.copy(settings.target, other._reference)
         other.cost, other._previous = self.cost, self._previous
         if self._previous is not None:
-            v_des = self._reference.speed(self.arc_length)
-            present = self.settings.target.desired_speed if v_des is None else v_des
-            other._reference.launch(self.arc_length, np.asarray(present))
+            other._reference.launch(self.arc_length, self._reference.speed(self.arc_length))
         return other

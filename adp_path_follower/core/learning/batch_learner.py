@@ -248,7 +248,7 @@ class FleetLearner:
             return sweep.lessons[index]
         assert index == len(sweep.lessons)  # one after the other
         curvature = float(self._memory.curvatures[slot])
-        speed = float(self._memory.speeds[slot]) if self._profile.varies else None
+        speed = float(self._memory.speeds[slot])
         at_once, equations = self._learning.samples_per_step, None
         for start in range(0, sweep.samples, at_once):
             samples = slice(start, min(start + at_once, sweep.samples))

@@ -16,7 +16,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.learning.samples import sample_grid
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import SpeedProfile
+from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 
 
@@ -31,12 +31,11 @@ class SampledModel:
         )
         arc_length = error_dynamics.arc_length_of(self.states[:, 3], settings.target)
         curvature = path.curvature(arc_length)
-        varies = profile is not None and profile.varies
-        v_des = profile.model_speed(arc_length) if profile is not None and varies else None
+        v_des = (profile or ConstantSpeed(settings.target)).model_speed(arc_length)
         gradient = basis.gradient(self.states)
         drift = error_dynamics.drift(self.states, curvature, settings.target, v_des)
         self._limits = settings.limits
-        self._feedforward = error_dynamics.feedforward(curvature, settings.target, v_des).T
+        self._feedforward = error_dynamics.feedforward(curvature, v_des).T
         self._drift_regressor = np.einsum("nlz,nz->nl", gradient, drift)  # sigma' f, (N, L)
         input_gradient = np.matmul(gradient, error_dynamics.input_matrix(self.states))
         # sigma' g with the two inputs first, (2, N, L): each product below is then contiguous.

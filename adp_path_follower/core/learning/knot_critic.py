@@ -47,7 +47,7 @@ class KnotTeacher:
         critic: FloatArray,
         elapsed: float,
         curvature: float,
-        speed: float | None,
+        speed: float,
     ) -> Lesson:
         """Return what a knot learns.
 
@@ -56,14 +56,14 @@ class KnotTeacher:
             critic: Wc of the knot so far, shape (L,).
             elapsed: Time since the knot's last turn [s].
             curvature: kappa [1/m] at the knot.
-            speed: v_des [m/s] there, if it varies along the path.
+            speed: v_des [m/s] there.
 
         """
         found = fit(equations)
         refusal = self._refusal(found)
         if refusal:
-            speeds = None if speed is None else np.array([speed])
-            return Lesson(self._memory.safe(np.array([curvature]), speeds)[0], found, refusal)
+            safe = self._memory.safe(np.array([curvature]), np.array([speed]))[0]
+            return Lesson(safe, found, refusal)
         if self._learning.critic == "gradient":
             descent = self._gain * (equations.matrix @ critic + equations.vector)
             step = relax(self._gain * equations.matrix, descent, min(elapsed, 1e3))

@@ -108,7 +108,8 @@ class KnotModel:
         self.states = scattered_samples(
             learning.sample_count, learning.sample_half_widths[:3], learning.sample_seed
         )
-        self._desired_speed, self._limits = settings.target.desired_speed, settings.limits
+        self._desired_speed, self._varies = settings.target.desired_speed, varies
+        self._limits = settings.limits
         self._lowest, self._highest = (
             bound[:, None] for bound in (self._limits.lower, self._limits.upper)
         )
@@ -137,11 +138,7 @@ class KnotModel:
         return len(self.states)
 
     def equations(
-        self,
-        samples: slice,
-        ahead: FloatArray,
-        curvature: float,
-        v_des: float | None = None,
+        self, samples: slice, ahead: FloatArray, curvature: float, v_des: float
     ) -> NormalEquations:
         """Return the normal equations of a knot's critic weights over some of the samples.
 
@@ -149,17 +146,17 @@ class KnotModel:
             samples: Which samples.
             ahead: Wc of the knot ahead, whose policy is evaluated, shape (L,).
             curvature: kappa [1/m] of the path at the knot.
-            v_des: Speed [m/s] there, if it is another than `desired_speed`.
+            v_des: Speed [m/s] there; a model whose knots share one speed has that.
 
         """
         terms = self._terms[samples]
         count, kinds, size = terms.shape
-        by_speed = np.array([1.0] if v_des is None else [1.0, v_des])
+        by_speed = np.array([1.0, v_des] if self._varies else [1.0])
         drift = np.multiply.outer(by_speed, [1.0, curvature]).ravel()
         forward = (terms.reshape(-1, size) @ ahead).reshape(count, kinds).T  # of the knot ahead
         inputs = self._half_inverse @ forward[:2]
         if not self._limits.unlimited:
-            speed = self._desired_speed if v_des is None else v_des
+            speed = v_des if self._varies else self._desired_speed
             feedforward = np.array([[speed], [speed * curvature]])
             inputs = np.maximum(inputs, self._lowest - feedforward)
             inputs = np.minimum(inputs, self._highest - feedforward)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.geometry import FloatArray, clamped
+from adp_path_follower.core.geometry import FloatArray, Number, clamped
 from adp_path_follower.core.learning.learner import initial_weights
 from adp_path_follower.core.learning.update_laws import surely_finite
 from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
@@ -162,9 +162,10 @@ class KnotMemory:
     def speed(self, knots: np.ndarray) -> FloatArray:
         """Return the mean speed [m/s] about each knot, as models take it, shape (K,)."""
         arc_length = (knots[:, None] + _NODES) * self.spacing
-        return np.asarray(self._profile.model_speed(arc_length).mean(axis=1))
+        speed = np.broadcast_to(self._profile.model_speed(arc_length), arc_length.shape)
+        return np.asarray(speed.mean(axis=1))
 
-    def safe(self, curvature: FloatArray, speed: FloatArray | None) -> FloatArray:
+    def safe(self, curvature: FloatArray, speed: Number) -> FloatArray:
         """Return the Riccati solution's weights at curvatures and speeds (...), shape (..., L)."""
         basis = self._learning.value_basis
         return basis.quadratic_weights(self._riccati.matrix(curvature, speed))

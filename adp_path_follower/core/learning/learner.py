@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.learning.bellman import BellmanErrors
 from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
 from adp_path_follower.core.settings.learning import LearningSettings
@@ -77,12 +77,9 @@ def initial_weights(
     learning: LearningSettings,
     riccati: RiccatiSchedule,
     curvature: FloatArray,
-    speed: FloatArray | None = None,
+    speed: Number,
 ) -> Weights:
-    """Return the weights to start from at curvatures [1/m] and speeds [m/s] (...), (..., L) each.
-
-    The speed matters where it varies along the path.
-    """
+    """Return the first weights at curvatures [1/m] and speeds [m/s] (...), shape (..., L)."""
     size = len(learning.value_basis.labels)
     if learning.initial_weights == "riccati":
         weights = learning.value_basis.quadratic_weights(riccati.matrix(curvature, speed))

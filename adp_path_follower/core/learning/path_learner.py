@@ -226,7 +226,7 @@ class ArcLengthLearner:
         memory = self._memory
         self._slot = int(memory.slots(np.array([knot]))[0])
         self._knot_curvature = float(memory.curvatures[self._slot])
-        self._knot_speed = float(memory.speeds[self._slot]) if self._profile.varies else None
+        self._knot_speed = float(memory.speeds[self._slot])
         self._done, self._time = 0, 0.0
         self._equations: NormalEquations | None = None
 

@@ -17,14 +17,38 @@ import math
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.groups import Settings, TargetSettings
 
 SHARE = 0.8  # eta: of accelerations and angular velocity; the rest is for corrections
 _SLOWEST = 0.05  # [m/s], and ...
 _SLOWEST_SHARE = 0.25  # ... of the highest speed: below, models take this for the speed
 _TURNING = 0.05  # [m] over which the change of curvature is taken
+
+
+class ConstantSpeed:
+    """`desired_speed` at every arc length: the speed of an optimum, and of peers.
+
+    Attributes:
+        varies: Always false, as for a `SpeedProfile` that is `desired_speed` everywhere.
+        stops: Always false: the speed does not fall to zero anywhere.
+        highest: The speed [m/s].
+        slowest: The same.
+
+    """
+
+    varies = stops = False
+
+    def __init__(self, target: TargetSettings) -> None:
+        """Take the speed of the settings."""
+        self.highest = self.slowest = target.desired_speed
+
+    def speed(self, arc_length: FloatArray) -> Number:
+        """Return v_des [m/s], one number for all arc lengths."""
+        return self.highest
+
+    model_speed = speed
 
 
 class SpeedProfile:
@@ -72,11 +96,14 @@ class SpeedProfile:
         mine, theirs = (self._step, self._desired), (other._step, other._desired)
         return mine == theirs and np.array_equal(self._squared, other._squared)
 
-    def speed(self, arc_length: FloatArray) -> FloatArray:
+    def speed(self, arc_length: FloatArray) -> Number:
         """Return v_des [m/s] at arc lengths s_p [m] of any shape, same shape.
 
-        Beyond the ends of an open path the speed at the end holds.
+        Beyond the ends of an open path the speed at the end holds. A constant profile returns one
+        number for all arc lengths.
         """
+        if not self.varies:
+            return self._desired
         place = arc_length[()]
         if self._closed:
             place = place - self._length * np.floor(place / self._length)
@@ -85,9 +112,9 @@ class SpeedProfile:
         squared, ahead = self._squared[node], self._squared[node + 1]
         return np.asarray(np.sqrt(squared + (position - node) * (ahead - squared)))[()]
 
-    def model_speed(self, arc_length: FloatArray) -> FloatArray:
+    def model_speed(self, arc_length: FloatArray) -> Number:
         """Return v_des, but nowhere less than `slowest`."""
-        speed: FloatArray = np.maximum(self.speed(arc_length), self.slowest)
+        speed: Number = np.maximum(self.speed(arc_length), self.slowest)
         return speed
 
     def _pointwise(self, curvature: FloatArray, settings: Settings) -> FloatArray:
@@ -116,32 +143,32 @@ class SpeedReference:
     """The profile, approached from the robot's speed within its accelerations.
 
     Attributes:
-        profile: The speeds along the path.
+        stops: Whether the profile ends at zero.
 
     """
 
     def __init__(self, profile: SpeedProfile, settings: Settings) -> None:
         """Take the accelerations; the profile holds from the start until `launch` is called."""
         motion = settings.motion
-        self.profile = profile
+        self._profile, self.stops = profile, profile.stops
         self._rise = 2.0 * SHARE * motion.max_linear_accel
         self._fall = 2.0 * SHARE * motion.max_linear_decel
         self._limited = math.isfinite(self._rise) or math.isfinite(self._fall)
         self._start: tuple[FloatArray, FloatArray] | None = None
 
-    def launch(self, arc_length: FloatArray, speed: FloatArray) -> None:
+    def launch(self, arc_length: FloatArray, speed: Number) -> None:
         """Approach the profile from a speed (...) [m/s] at arc lengths (...) [m]."""
         if self._limited:
-            from_rest = np.maximum(speed, self.profile.slowest)  # at zero it would never start
+            from_rest = np.maximum(speed, self._profile.slowest)  # at zero it would never start
             self._start = (np.asarray(arc_length)[()], from_rest**2)
 
-    def speed(self, arc_length: FloatArray) -> FloatArray | None:
-        """Return v_des at arc lengths (...) [m], None where it is `desired_speed` everywhere."""
+    def speed(self, arc_length: FloatArray) -> Number:
+        """Return v_des at arc lengths (...) [m], as `SpeedProfile.speed`."""
+        wanted = self._profile.speed(arc_length)
         if self._start is None:
-            return self.profile.speed(arc_length) if self.profile.varies else None
+            return wanted
         start, squared = self._start
         run = np.maximum(arc_length[()] - start, 0.0)
-        wanted = self.profile.speed(arc_length)
         if math.isfinite(self._fall):
             wanted = np.maximum(wanted, np.sqrt(np.maximum(squared - self._fall * run, 0.0)))
         if math.isfinite(self._rise):

@@ -49,7 +49,8 @@ def solve_costates(problem: Problem, motion: Motion) -> Extremal:
     start = motion.state[0]
     unknown = np.zeros((9, len(motion.time)))
     unknown[:4] = motion.state.T
-    terminal = riccati_solution(0.0, problem.settings.target, problem.settings.cost)
+    target = problem.settings.target
+    terminal = riccati_solution(0.0, target.desired_speed, target, problem.settings.cost)
     unknown[4:7] = 2.0 * terminal @ motion.state[:, :3].T
     result = solve_bvp(
         lambda _, values: _rates(problem, values),
@@ -75,7 +76,7 @@ def _rates(problem: Problem, values: FloatArray) -> FloatArray:
     slope = (ahead - behind) / (2.0 * _CURVATURE_STEP)
     cos, sin = np.cos(theta), np.sin(theta)
     speed = v_des * cos + gain * s
-    feedforward = error_dynamics.feedforward(curvature, target).T
+    feedforward = error_dynamics.feedforward(curvature, v_des).T
     along, across, turning, _ = costates
     # The minimiser of the Hamiltonian; clipped to the box, it is the constrained one (R diagonal).
     pull = np.stack([along * cos + across * sin, turning])

@@ -114,7 +114,8 @@ class Problem:
     def _riccati_motion(self, start: FloatArray, time: FloatArray) -> Motion:
         """Return the motion of the Riccati policy, with its errors bounded to stay a guess."""
         target, limits = self.settings.target, self.settings.limits
-        solution = riccati_solution(0.0, target, self.settings.cost)
+        v_des = target.desired_speed
+        solution = riccati_solution(0.0, v_des, target, self.settings.cost)
         gain = np.linalg.solve(self.input_cost, solution[[0, 2]])
         fine = np.arange(0.0, time[-1] + 0.02, 0.02)
         state = np.empty((len(fine), 4))
@@ -122,13 +123,13 @@ class Problem:
         state[0] = [*start, self.start_arc_length]
         for step in range(len(fine)):
             curvature = self.path.curvature(state[step, 3])
-            forward = error_dynamics.feedforward(curvature, target)
+            forward = error_dynamics.feedforward(curvature, v_des)
             inputs[step] = saturate(-gain @ state[step, :3], forward, limits)
             if step + 1 < len(fine):
                 zeta = np.append(state[step, :3], 0.0)
-                rate = error_dynamics.drift(zeta, curvature, target)
+                rate = error_dynamics.drift(zeta, curvature, target, v_des)
                 rate[:3] += (error_dynamics.input_matrix(zeta) @ inputs[step])[:3]
-                speed = error_dynamics.target_speed(zeta, target)
+                speed = error_dynamics.target_speed(zeta, target, v_des)
                 state[step + 1, :3] = np.clip(state[step, :3] + 0.02 * rate[:3], -20.0, 20.0)
                 state[step + 1, 3] = state[step, 3] + 0.02 * speed
         return Motion(math.inf, fine, state, inputs).at(time)

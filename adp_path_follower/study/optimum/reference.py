@@ -96,6 +96,7 @@ def is_paper_problem(
 
 def _within_limits(optimum: ReferenceMotion, settings: Settings) -> bool:
     """Return whether limits would not have changed an optimum on a straight path."""
-    feedforward = error_dynamics.feedforward(np.zeros(len(optimum.time)), settings.target)
+    straight, v_des = np.zeros(len(optimum.time)), settings.target.desired_speed
+    feedforward = error_dynamics.feedforward(straight, v_des)
     wanted = optimum.modified_input
     return bool(np.allclose(saturate(wanted, feedforward, settings.limits), wanted))

@@ -222,7 +222,8 @@ def _theorem(run: PaperRun, path: Path) -> Theorem:
     ideal, *_ = np.linalg.lstsq(system, np.array(gradient).ravel(), rcond=None)
     residual = np.array(gradient) - np.einsum("mlz,l->mz", basis, ideal)
     residual_norm = np.linalg.norm(residual, axis=1)
-    drift = error_dynamics.drift(zeta, path.curvature(arc_length), target)
+    curvature = path.curvature(arc_length)
+    drift = error_dynamics.drift(zeta, curvature, target, target.desired_speed)
     drift_bound = float((np.linalg.norm(drift, axis=1) / np.linalg.norm(zeta, axis=1)).max())
     critic = found.critic_weights[0]
     actor = found.actor_weights[0]

@@ -30,7 +30,8 @@ errors = st.tuples(lengths, lengths, angles).map(np.array)
 def rate(zeta, curvature, modified_input, target):
     """Return f + g u."""
     gain = dynamics.input_matrix(zeta)
-    return dynamics.drift(zeta, curvature, target) + (gain @ modified_input[..., None])[..., 0]
+    drift = dynamics.drift(zeta, curvature, target, target.desired_speed)
+    return drift + (gain @ modified_input[..., None])[..., 0]
 
 
 @settings(max_examples=150, deadline=None)
@@ -115,7 +116,7 @@ def test_integrated_error_dynamics_agree_with_the_world(name):
 def test_drift_is_the_printed_one_row_by_row(printed, zeta, scale, kappa):
     zeta[:2] *= scale
     target = TargetSettings(printed.v_des, printed.k1, printed.k2)
-    found = dynamics.drift(zeta, np.array(kappa), target)
+    found = dynamics.drift(zeta, np.array(kappa), target, target.desired_speed)
     size = 1.0 + abs(kappa) * scale**2
     for row, expected in enumerate(printed.drift(zeta, kappa)):
         assert found[row] == pytest.approx(expected, rel=1e-12, abs=1e-13 * size)
@@ -129,14 +130,14 @@ def test_drift_is_the_printed_one_row_by_row(printed, zeta, scale, kappa):
     target=targets,
 )
 def test_a_batch_of_states_is_as_single_ones(zeta, kappa, target):
-    drift = dynamics.drift(zeta, kappa, target)
+    drift = dynamics.drift(zeta, kappa, target, target.desired_speed)
     gain = dynamics.input_matrix(zeta)
-    steady = dynamics.feedforward(kappa, target)
+    steady = dynamics.feedforward(kappa, target.desired_speed)
     assert drift.shape == (2, 3, 4)
     assert gain.shape == (2, 3, 4, 2)
     assert steady.shape == (2, 3, 2)
     for index in np.ndindex(2, 3):
-        single = dynamics.drift(zeta[index], kappa[index], target)
+        single = dynamics.drift(zeta[index], kappa[index], target, target.desired_speed)
         np.testing.assert_allclose(drift[index], single, rtol=1e-14, atol=1e-15)
         np.testing.assert_allclose(gain[index], dynamics.input_matrix(zeta[index]), atol=1e-15)
         v_des = target.desired_speed
@@ -147,7 +148,7 @@ def test_a_batch_of_states_is_as_single_ones(zeta, kappa, target):
 @given(kappa=st.floats(-5.0, 5.0), phi=st.floats(-0.99, 0.99), target=targets)
 def test_a_robot_on_the_target_stays_there_without_input(kappa, phi, target):
     zeta = np.array([0.0, 0.0, 0.0, phi])
-    drift = dynamics.drift(zeta, np.array(kappa), target)
+    drift = dynamics.drift(zeta, np.array(kappa), target, target.desired_speed)
     np.testing.assert_array_equal(drift[:3], 0.0)
     expected = target.path_state_gain * (1.0 - phi**2) * target.desired_speed
     assert drift[3] == pytest.approx(expected)
@@ -158,7 +159,7 @@ def test_feedforward_alone_keeps_a_robot_on_the_figure_eight(figure_eight):
 
     def world_rate(time, pose):
         s_p = np.array(target.desired_speed * time)
-        v, w = dynamics.feedforward(figure_eight.curvature(s_p), target)
+        v, w = dynamics.feedforward(figure_eight.curvature(s_p), target.desired_speed)
         return [v * math.cos(pose[2]), v * math.sin(pose[2]), w]
 
     start = figure_eight.frame(0.0).pose
@@ -173,10 +174,14 @@ def test_phi_is_the_tanh_of_arc_length_and_moves_as_it_does(s_p, error, target):
     phi = float(dynamics.path_state(np.array(s_p), target))
     assert phi == pytest.approx(math.tanh(target.path_state_gain * s_p), abs=1e-15)
     speed = target.desired_speed * math.cos(error[2]) + target.target_gain * error[0]
-    assert float(dynamics.target_speed(error, target)) == pytest.approx(speed, abs=1e-14)
+    assert float(dynamics.target_speed(error, target, target.desired_speed)) == pytest.approx(
+        speed, abs=1e-14
+    )
     h = 1e-4
     ahead, behind = (math.tanh(target.path_state_gain * (s_p + d * speed)) for d in (h, -h))
-    rate_of_phi = dynamics.drift(np.append(error, phi), np.array(0.3), target)[3]
+    rate_of_phi = dynamics.drift(
+        np.append(error, phi), np.array(0.3), target, target.desired_speed
+    )[3]
     assert rate_of_phi == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-5, abs=1e-7)
 
 

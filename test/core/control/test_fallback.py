@@ -56,9 +56,9 @@ def test_the_riccati_policy_is_the_linear_one_near_the_path():
     policy = RiccatiPolicy(tuning, RiccatiSchedule(path, tuning.target, tuning.cost))
     error = 1e-5 * np.array([1.0, -2.0, 3.0])
     found = policy.modified_input(np.append(error, 0.0), np.array(0.5), np.zeros(2))
-    solution = riccati_solution(0.5, tuning.target, tuning.cost)
+    solution = riccati_solution(0.5, tuning.target.desired_speed, tuning.target, tuning.cost)
     np.testing.assert_allclose(found, -solution[[0, 2]] @ error, rtol=1e-3, atol=1e-9)
-    value = policy.value(np.append(error, 0.0), np.array(0.5))
+    value = policy.value(np.append(error, 0.0), np.array(0.5), 0.5)
     assert float(value) == pytest.approx(error @ solution @ error, rel=1e-3)
 
 

@@ -137,7 +137,7 @@ def test_far_away_riccati_is_the_linear_policy_in_the_half_angle_frame(
     values = {**UNLIMITED, "input_cost": (cost, 1.0)}
     found = blended("riccati", error, np.zeros(2), 0.5, **values)
     chosen = tuning("riccati", **values)
-    p = riccati_solution(0.5, chosen.target, chosen.cost)
+    p = riccati_solution(0.5, chosen.target.desired_speed, chosen.target, chosen.cost)
     weights = [p[0, 0], 2 * p[0, 1], 2 * p[0, 2], p[1, 1], 2 * p[1, 2], p[2, 2]]
     gradient = explicit(2, "half_angle").gradient(error).T @ weights
     pull = printed.input_matrix([*error, 0.0])[:3].T @ gradient
@@ -152,7 +152,7 @@ def test_approach_is_the_riccati_law_for_small_errors(direction, scale):
     values = {**UNLIMITED, "wide_region_levels": (1e-9, 2e-9), "input_cost": (2.0, 0.5)}
     found = blended("approach", error, np.zeros(2), **values)
     chosen = tuning("approach", **values)
-    p = riccati_solution(0.0, chosen.target, chosen.cost)
+    p = riccati_solution(0.0, chosen.target.desired_speed, chosen.target, chosen.cost)
     s, y, theta = error
     # A robot that does not face along the path moves towards it by driving: of second order.
     driving = p[0, 0] * s + p[1, 1] * y * theta

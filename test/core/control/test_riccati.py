@@ -48,13 +48,14 @@ def residual(solution, curvature, target, cost):
 @settings(max_examples=60, deadline=None)
 @given(curvature=curvatures, target=targets)
 def test_the_system_is_the_error_dynamics_linearised(curvature, target):
-    system = system_matrix(curvature, target)
+    system = system_matrix(curvature, target, target.desired_speed)
     np.testing.assert_allclose(system, expected_system(curvature, target), atol=1e-12)
     h = 1e-5
     for axis in range(3):
         step = h * np.eye(4)[axis]
         ahead, behind = (
-            error_dynamics.drift(at, np.asarray(curvature), target)[:3] for at in (step, -step)
+            error_dynamics.drift(at, np.asarray(curvature), target, target.desired_speed)[:3]
+            for at in (step, -step)
         )
         np.testing.assert_allclose(system[:, axis], (ahead - behind) / (2.0 * h), atol=1e-6)
     on_path = error_dynamics.input_matrix(np.zeros(4))[:3]
@@ -87,7 +88,7 @@ def test_many_solutions_are_those_that_scipy_finds_one_by_one(nodes, gain, state
 @settings(max_examples=100, deadline=None)
 @given(curvature=curvatures, target=targets, cost=costs)
 def test_solutions_satisfy_the_riccati_equation(curvature, target, cost):
-    solution = riccati_solution(curvature, target, cost)
+    solution = riccati_solution(curvature, target.desired_speed, target, cost)
     assert solution.tolist() == solution.T.tolist()
     assert np.linalg.eigvalsh(solution)[0] > 0.0
     # A millionth of Q is added for errors that cost nothing.
@@ -100,7 +101,7 @@ def test_solutions_satisfy_the_riccati_equation(curvature, target, cost):
 @settings(max_examples=100, deadline=None)
 @given(curvature=curvatures, target=targets, cost=costs)
 def test_the_closed_loop_is_stable_on_any_bend(curvature, target, cost):
-    solution = riccati_solution(curvature, target, cost)
+    solution = riccati_solution(curvature, target.desired_speed, target, cost)
     gain = np.linalg.inv(cost.input_cost_matrix()) @ INPUT_MATRIX.T @ solution
     closed = expected_system(curvature, target) - INPUT_MATRIX @ gain
     assert np.linalg.eigvals(closed).real.max() < 0.0
@@ -110,8 +111,8 @@ def test_the_closed_loop_is_stable_on_any_bend(curvature, target, cost):
 @given(curvature=curvatures, target=targets, cost=costs)
 def test_a_mirrored_path_has_the_mirrored_solution(curvature, target, cost):
     mirror = np.diag([1.0, -1.0, -1.0])
-    right = riccati_solution(-curvature, target, cost)
-    left = mirror @ riccati_solution(curvature, target, cost) @ mirror
+    right = riccati_solution(-curvature, target.desired_speed, target, cost)
+    left = mirror @ riccati_solution(curvature, target.desired_speed, target, cost) @ mirror
     np.testing.assert_allclose(right, left, rtol=1e-8, atol=1e-8 * np.abs(left).max())
 
 
@@ -119,9 +120,11 @@ def test_a_mirrored_path_has_the_mirrored_solution(curvature, target, cost):
 @given(factor=st.floats(0.01, 100.0), curvature=curvatures)
 def test_solutions_are_proportional_to_the_cost(factor, curvature):
     target = TargetSettings()
-    once = riccati_solution(curvature, target, CostSettings((2.0, 3.0, 4.0), (1.0, 2.0)))
+    once = riccati_solution(
+        curvature, target.desired_speed, target, CostSettings((2.0, 3.0, 4.0), (1.0, 2.0))
+    )
     scaled = CostSettings((2.0 * factor, 3.0 * factor, 4.0 * factor), (factor, 2.0 * factor))
-    found = riccati_solution(curvature, target, scaled) / factor
+    found = riccati_solution(curvature, target.desired_speed, target, scaled) / factor
     np.testing.assert_allclose(found, once, rtol=2e-4, atol=1e-4)  # of the least cost
 
 
@@ -138,7 +141,7 @@ def test_solutions_are_proportional_to_the_cost(factor, curvature):
 @pytest.mark.parametrize("curvature", [-1.0, 0.0, 0.5])
 def test_errors_may_cost_nothing(state_cost, curvature):
     target, cost = TargetSettings(), CostSettings(state_cost=state_cost)
-    solution = riccati_solution(curvature, target, cost)
+    solution = riccati_solution(curvature, target.desired_speed, target, cost)
     closed = expected_system(curvature, target) - INPUT_MATRIX @ INPUT_MATRIX.T @ solution
     assert np.linalg.eigvals(closed).real.max() < 0.0
     found = residual(solution, curvature, target, cost)
@@ -149,7 +152,7 @@ def test_errors_may_cost_nothing(state_cost, curvature):
 def test_numbers_too_extreme_for_a_solution_are_refused_with_what_to_do():
     cost = CostSettings(state_cost=(1e200, 1.0, 1.0))
     with pytest.raises(SettingsError, match=r"state_cost.*curvature 2 1/m: choose values nearer"):
-        riccati_solution(2.0, TargetSettings(), cost)
+        riccati_solution(2.0, 0.5, TargetSettings(), cost)
 
 
 # --- along a path -------------------------------------------------------------------------------
@@ -161,8 +164,8 @@ def test_between_its_nodes_the_schedule_is_near_the_solution(figure_eight, place
     target, cost = TargetSettings(), CostSettings()
     schedule = RiccatiSchedule(figure_eight, target, cost)
     curvature = figure_eight.curvature(place)
-    exact = riccati_solution(float(curvature), target, cost)
-    found = schedule.matrix(curvature)
+    exact = riccati_solution(float(curvature), target.desired_speed, target, cost)
+    found = schedule.matrix(curvature, 0.5)
     np.testing.assert_allclose(found, exact, atol=1e-3)
     gain = INPUT_MATRIX.T @ found
     closed = expected_system(float(curvature), target) - INPUT_MATRIX @ gain
@@ -174,33 +177,35 @@ def test_a_circle_has_its_own_solution_and_that_of_a_straight_line(curvature):
     target, cost = TargetSettings(), CostSettings()
     schedule = RiccatiSchedule(circle(curvature), target, cost)
     for kappa in (curvature, 0.0):
-        exact = riccati_solution(kappa, target, cost)
-        np.testing.assert_allclose(schedule.matrix(np.asarray(kappa)), exact, atol=1e-4)
+        exact = riccati_solution(kappa, target.desired_speed, target, cost)
+        np.testing.assert_allclose(schedule.matrix(np.asarray(kappa), 0.5), exact, atol=1e-4)
 
 
 def test_beyond_the_table_the_nearest_solution_holds():
     target, cost = TargetSettings(), CostSettings()
     bend = circle(1.0)
     schedule = RiccatiSchedule(bend, target, cost)
-    ends = schedule.matrix(np.array([0.0, bend.curvature_range[1]]))
-    found = schedule.matrix(np.array([-5.0, -math.inf, 7.0, math.inf]))
+    ends = schedule.matrix(np.array([0.0, bend.curvature_range[1]]), 0.5)
+    found = schedule.matrix(np.array([-5.0, -math.inf, 7.0, math.inf]), 0.5)
     assert found.tolist() == [ends[0].tolist()] * 2 + [ends[1].tolist()] * 2
-    assert np.isfinite(schedule.matrix(np.asarray(math.nan))).all()
+    assert np.isfinite(schedule.matrix(np.asarray(math.nan), 0.5)).all()
     straight = RiccatiSchedule(named_path("line"), target, cost)
-    assert straight.matrix(np.zeros(())).tolist() == riccati_solution(0.0, target, cost).tolist()
+    assert straight.matrix(np.zeros(()), 0.5).tolist() == (
+        riccati_solution(0.0, target.desired_speed, target, cost).tolist()
+    )
 
 
 def test_a_bend_sharper_than_the_table_is_taken_for_its_sharpest():
     target, cost = TargetSettings(), CostSettings()
     schedule = RiccatiSchedule(circle(20.0), target, cost)
-    sharpest = riccati_solution(10.0, target, cost)
-    np.testing.assert_allclose(schedule.matrix(np.asarray(20.0)), sharpest, rtol=1e-9)
+    sharpest = riccati_solution(10.0, target.desired_speed, target, cost)
+    np.testing.assert_allclose(schedule.matrix(np.asarray(20.0), 0.5), sharpest, rtol=1e-9)
 
 
 def test_matrices_have_the_shape_of_the_curvatures(figure_eight):
     schedule = RiccatiSchedule(figure_eight, TargetSettings(), CostSettings())
     several = figure_eight.curvature(np.linspace(0.0, 130.0, 12)).reshape(3, 4)
-    together = schedule.matrix(several)
+    together = schedule.matrix(several, 0.5)
     assert together.shape == (3, 4, 3, 3)
     for index in np.ndindex(3, 4):
-        assert together[index].tolist() == schedule.matrix(several[index]).tolist()
+        assert together[index].tolist() == schedule.matrix(several[index], 0.5).tolist()

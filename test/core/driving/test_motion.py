@@ -201,7 +201,7 @@ def test_the_model_of_a_knot_is_that_of_its_speed(speed):
         size=len(build(Settings, values).learning.value_basis.labels)
     )
     found = knots.equations(slice(None), ahead, 0.7, speed)
-    expected = other.equations(slice(None), ahead, 0.7)
+    expected = other.equations(slice(None), ahead, 0.7, speed)
     np.testing.assert_allclose(found.matrix, expected.matrix, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(found.vector, expected.vector, rtol=1e-10, atol=1e-10)
 
@@ -219,12 +219,12 @@ def test_the_error_dynamics_with_a_speed_are_those_of_that_speed():
         one = zeta[index], kappa[index]
         np.testing.assert_allclose(
             error_dynamics.drift(zeta, kappa, target, speed)[index],
-            error_dynamics.drift(*one, own),
+            error_dynamics.drift(*one, own, own.desired_speed),
             atol=1e-14,
         )
         np.testing.assert_allclose(
-            error_dynamics.feedforward(kappa, target, speed)[index],
-            error_dynamics.feedforward(one[1], own),
+            error_dynamics.feedforward(kappa, speed)[index],
+            error_dynamics.feedforward(one[1], own.desired_speed),
             atol=1e-14,
         )
 
@@ -236,5 +236,5 @@ def test_the_riccati_solution_is_that_of_curvature_and_speed():
     for kappa in (-1.0, -0.3, 0.0, 0.62):
         for speed in (profile.slowest, 0.1, 0.22, 0.5):
             found = schedule.matrix(np.asarray(kappa), np.asarray(speed))
-            expected = riccati_solution(kappa, tuning.target, tuning.cost, speed)
+            expected = riccati_solution(kappa, speed, tuning.target, tuning.cost)
             np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.02)

@@ -123,7 +123,7 @@ def test_equations_are_the_sums_of_the_formulas(printed, explicit, costs, limits
         c, x, r, q = samples_one_by_one(
             printed, polynomial, model.states, matrices, limits, ahead, kappa, spacing
         )
-        found = model.equations(slice(0, len(model)), ahead, kappa)
+        found = model.equations(slice(0, len(model)), ahead, kappa, 0.5)
         matrix, vector = x.T @ (c[:, None] * x), x.T @ (c * r)
         np.testing.assert_allclose(found.matrix, matrix, rtol=1e-8, atol=1e-9 * matrix.max())
         np.testing.assert_allclose(found.vector, vector, rtol=1e-8, atol=1e-9 * abs(vector).max())
@@ -138,13 +138,13 @@ def test_parts_of_the_samples_add_up_to_the_whole(seed, kappa, cuts):
     ahead = np.random.default_rng(seed).normal(size=31)
     edges = [0, *sorted(cuts), len(model)]
     parts = [
-        model.equations(slice(start, stop), ahead, kappa)
+        model.equations(slice(start, stop), ahead, kappa, 0.5)
         for start, stop in itertools.pairwise(edges)
     ]
     total = parts[0]
     for part in parts[1:]:
         total = total + part
-    whole = model.equations(slice(0, len(model)), ahead, kappa)
+    whole = model.equations(slice(0, len(model)), ahead, kappa, 0.5)
     np.testing.assert_allclose(total.matrix, whole.matrix, atol=1e-10 * whole.matrix.max())
     np.testing.assert_allclose(total.vector, whole.vector, atol=1e-10 * abs(whole.vector).max())
     assert total.offset == pytest.approx(whole.offset, rel=1e-10)
@@ -170,7 +170,7 @@ def test_the_fit_has_the_least_bellman_errors(printed, explicit, limits, degree,
     )
     root = np.sqrt(c)
     best = np.linalg.lstsq(root[:, None] * x, -root * r, rcond=None)[0]
-    found = fit(model.equations(slice(0, len(model)), ahead, kappa))
+    found = fit(model.equations(slice(0, len(model)), ahead, kappa, 0.5))
     np.testing.assert_allclose(found.critic_weights, best, rtol=1e-4, atol=1e-4)
     least = c @ (r + x @ best) ** 2
     reached = c @ (r + x @ found.critic_weights) ** 2
@@ -184,7 +184,7 @@ def test_the_excitation_certificate_bounds_the_smallest_singular_value(degree):
     ahead = np.zeros(math.comb(degree + 3, 3) - 4)
     ahead[:6] = (0.9, 0.0, 0.0, 2.8, 2.0, 1.4)
     for kappa in (-0.5, 0.0, 1.2):
-        equations = model.equations(slice(0, len(model)), ahead, kappa)
+        equations = model.equations(slice(0, len(model)), ahead, kappa, 0.5)
         scale = np.sqrt(np.diag(equations.matrix))
         scaled = equations.matrix / scale[:, None] / scale
         smallest = float(np.linalg.svd(scaled, compute_uv=False)[-1])

@@ -118,12 +118,12 @@ def test_riccati_starts_have_the_value_of_the_solution(basis, frame):
     scheduling = "path_state" if basis == "paper" else "arc_length"
     learning = LearningSettings(basis=basis, frame=frame, scheduling=scheduling)
     curvature = np.array([[-0.6, 0.0], [0.3, 1.1]])
-    found = initial_weights(learning, SCHEDULE, curvature)
+    found = initial_weights(learning, SCHEDULE, curvature, 0.5)
     assert found.actor.tolist() == found.critic.tolist()
     assert found.actor is not found.critic  # one learns without the other
     error = 1e-4 * np.array([1.0, -2.0, 0.5, 0.0])
     for index in np.ndindex(2, 2):
-        p = riccati_solution(float(curvature[index]), TargetSettings(), CostSettings())
+        p = riccati_solution(float(curvature[index]), 0.5, TargetSettings(), CostSettings())
         value = learning.value_basis.value(error) @ found.critic[index]
         assert value == pytest.approx(error[:3] @ p @ error[:3], rel=1e-3)
 
@@ -137,7 +137,7 @@ def test_listed_starts_are_filled_up_with_zeros(given_size):
         initial_critic_weights=critic,
         initial_actor_weights=critic[::-1],
     )
-    found = initial_weights(learning, SCHEDULE, np.zeros((2, 3)))
+    found = initial_weights(learning, SCHEDULE, np.zeros((2, 3)), 0.5)
     rest = [0.0] * (31 - given_size)
     for index in np.ndindex(2, 3):
         assert found.critic[index].tolist() == [*critic, *rest]
@@ -208,7 +208,7 @@ def test_a_reset_returns_single_runs_of_a_batch_to_the_start():
     start = Weights(np.ones((3, SIZE)), np.full((3, SIZE), 2.0))
     learner = learner_of(PAPER, start)
     learner.reset(np.array([True, False, True]))
-    first = initial_weights(build(Settings, PAPER).learning, SCHEDULE, np.zeros(()))
+    first = initial_weights(build(Settings, PAPER).learning, SCHEDULE, np.zeros(()), 0.5)
     assert learner.weights.critic.tolist() == [
         *[first.critic.tolist()],
         [1.0] * SIZE,

@@ -35,7 +35,8 @@ def learner_of(path, **values):
 def riccati_weights(path, place, **values):
     """Return the weights of the Riccati solution at a place of the path."""
     tuning = build(Settings, values)
-    matrix = riccati_solution(float(path.curvature(place)), tuning.target, tuning.cost)
+    speed = tuning.target.desired_speed
+    matrix = riccati_solution(float(path.curvature(place)), speed, tuning.target, tuning.cost)
     return tuning.learning.value_basis.quadratic_weights(matrix)
 
 
@@ -63,7 +64,7 @@ class CountingModel:
         """Return the number of samples."""
         return len(self._model)
 
-    def equations(self, samples, ahead, curvature, v_des=None):
+    def equations(self, samples, ahead, curvature, v_des):
         """Return what the model gives."""
         self.parts.append((samples.start, samples.stop))
         return self._model.equations(samples, ahead, curvature, v_des)

@@ -34,7 +34,9 @@ def riccati_weights(follower):
     """Return the weights of the Riccati policy where the target is, shape (L,)."""
     tuning = follower.settings
     schedule = RiccatiSchedule(follower.path, tuning.target, tuning.cost)
-    matrix = schedule.matrix(follower.path.curvature(follower.arc_length))
+    matrix = schedule.matrix(
+        follower.path.curvature(follower.arc_length), tuning.target.desired_speed
+    )
     return tuning.learning.value_basis.quadratic_weights(matrix)
 
 
@@ -247,7 +249,8 @@ def test_only_the_robot_whose_weights_are_not_finite_has_the_riccati_policy():
     learner._memory.actor[slot] = math.nan
     after = learner.local(places)
     assert after.weights.actor[0].tolist() == before.weights.actor[0].tolist()
-    matrix = RiccatiSchedule(EIGHT, tuning.target, tuning.cost).matrix(EIGHT.curvature(40.0))
+    schedule = RiccatiSchedule(EIGHT, tuning.target, tuning.cost)
+    matrix = schedule.matrix(EIGHT.curvature(40.0), tuning.target.desired_speed)
     expected = tuning.learning.value_basis.quadratic_weights(matrix)
     np.testing.assert_allclose(after.weights.actor[1], expected, atol=1e-12)
     assert after.slope[1].tolist() == [0.0] * len(expected)

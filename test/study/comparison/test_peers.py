@@ -88,8 +88,9 @@ class ClosedLoop:
     def _rates(self, time, place, command):
         frame = self.path.frame(place)
         error = tracking_error(advance_pose(self.pose, *command.T, time), frame.pose)
-        modified = command - error_dynamics.feedforward(frame.curvature, self.settings.target)
-        speed = error_dynamics.target_speed(error, self.settings.target)
+        target = self.settings.target
+        modified = command - error_dynamics.feedforward(frame.curvature, target.desired_speed)
+        speed = error_dynamics.target_speed(error, target, target.desired_speed)
         return self.running_cost(error, modified), speed
 
 
@@ -126,7 +127,7 @@ def test_a_run_repeats_itself(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_output_agrees_with_itself(name):
     for output in ClosedLoop(name, PATHS["lissajous"], STARTS, LIMITED).run(0.5).outputs:
-        steady = error_dynamics.feedforward(output.curvature, LIMITED.target)
+        steady = error_dynamics.feedforward(output.curvature, LIMITED.target.desired_speed)
         assert output.modified_input == pytest.approx(output.command - steady, abs=1e-12)
         frame = PATHS["lissajous"].frame(output.arc_length)
         assert output.target_pose == pytest.approx(frame.pose)
@@ -299,7 +300,8 @@ def test_nmpc_sees_the_bend_ahead():
     controller = PEERS["nmpc"].factory(SETTINGS, path, np.array([16.0]))
     output = controller.step(path.frame(np.array([16.0])).pose, 0.0)
     # The command is held for a step, so it is the feedforward of the step's middle.
-    middle = error_dynamics.feedforward(path.curvature(np.array([16.025])), SETTINGS.target)
+    curvature = path.curvature(np.array([16.025]))
+    middle = error_dynamics.feedforward(curvature, SETTINGS.target.desired_speed)
     assert output.command == pytest.approx(middle, abs=5e-3)
 
 

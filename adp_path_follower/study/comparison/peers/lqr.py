@@ -30,9 +30,10 @@ class Lqr(PeerController):
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the command of the policy."""
-        slope = np.matmul(self._schedule.matrix(frame.curvature), error[..., None])[..., 0]
+        v_des = self.settings.target.desired_speed
+        slope = np.matmul(self._schedule.matrix(frame.curvature, v_des), error[..., None])[..., 0]
         s_slope, y_slope, theta_slope = np.moveaxis(slope, -1, 0)
         theta = error[..., 2]
         pull = np.stack([np.cos(theta) * s_slope + np.sin(theta) * y_slope, theta_slope], axis=-1)
-        feedforward = error_dynamics.feedforward(frame.curvature, self.settings.target)
+        feedforward = error_dynamics.feedforward(frame.curvature, v_des)
         return np.asarray(feedforward - pull @ self._input_cost_inverse)

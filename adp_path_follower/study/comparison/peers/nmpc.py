@@ -83,7 +83,7 @@ class Nmpc(PeerController):
         for _ in range(_MOST_PASSES):
             places = 0.5 * (guess.state[1:, 3] + guess.state[:-1, 3])
             end = self.path.curvature(guess.state[-1, 3])
-            terminal = self._schedule.matrix(end)
+            terminal = self._schedule.matrix(end, self.settings.target.desired_speed)
             curvature = self._curvature(places)
             found = self._solver.solve(start, guess, curvature, terminal, careful)
             if found is None:

@@ -34,7 +34,8 @@ class PeerController(ABC):
         frame, error = self.target.move(pose, dt)
         limits = self.settings.limits
         command = np.clip(self.command(pose, dt, frame, error), limits.lower, limits.upper)
-        feedforward = error_dynamics.feedforward(frame.curvature, self.settings.target)
+        v_des = self.settings.target.desired_speed
+        feedforward = error_dynamics.feedforward(frame.curvature, v_des)
         return ControlOutput(
             command=command,
             modified_input=command - feedforward,
