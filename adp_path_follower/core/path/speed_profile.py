@@ -97,7 +97,7 @@ class SpeedProfile:
         return mine == theirs and np.array_equal(self._squared, other._squared)
 
     def speed(self, arc_length: FloatArray) -> Number:
-        """Return v_des [m/s] at arc lengths s_p [m] of any shape, same shape.
+        """Return v_des [m/s] at arc lengths s_p [m] of any shape, same shape or one number.
 
         Beyond the ends of an open path the speed at the end holds. A constant profile returns one
         number for all arc lengths.
