@@ -177,6 +177,16 @@ def collect_starts(
 
 
 @contextlib.contextmanager
+def resumable() -> Iterator[None]:
+    """Tell whoever interrupts the block that the same command resumes its work."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo("\nadp: finished work is kept; the same command resumes it", err=True)
+        raise
+
+
+@contextlib.contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
     """Show a progress bar to people, nothing to a log; yields what takes the fraction done."""
     if not sys.stderr.isatty():  # click would leave an empty line

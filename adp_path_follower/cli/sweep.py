@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import click
 
-from adp_path_follower.cli.options import FILE, cluster_options, progress_bar
+from adp_path_follower.cli.options import FILE, cluster_options, progress_bar, resumable
 from adp_path_follower.extras import require
 
-if TYPE_CHECKING:  # Dask and pyarrow are wanted when there is something to run
-    from adp_path_follower.study.sweeps.request.sweep_file import Sweep
+if TYPE_CHECKING:  # Dask and pyarrow are loaded when there is something to run
+    from adp_path_follower.study.sweeps.request.request import Sweep
 
 
 @click.command()
@@ -46,7 +44,7 @@ def sweep(
     report.html (heat maps and the Pareto front) and best.yaml (the best settings).
     """
     require("adp sweep", "sweep")
-    from adp_path_follower.study.sweeps.request.sweep_file import read_sweep
+    from adp_path_follower.study.sweeps.request.files import read_sweep
     from adp_path_follower.study.sweeps.workers.plan import check_first_runs
 
     asked = read_sweep(file)
@@ -55,7 +53,7 @@ def sweep(
         _say_how_long(asked, scheduler, workers)
         return
     if directory is None:
-        raise click.UsageError("say where the results go: --out DIR")
+        raise click.UsageError("give a folder for the results: --out DIR")
     _run(asked, file.stem, directory, scheduler, workers)
 
 
@@ -64,8 +62,8 @@ def _say_how_long(asked: Sweep, scheduler: str | None, workers: int | None) -> N
 
     conditions = asked.conditions
     click.echo(
-        f"{asked.runs:,} runs of {conditions.duration:g} s: {asked.combinations:,} combinations of "
-        f"settings × {len(conditions.paths)} paths × {len(conditions.robots)} robots × "
+        f"{asked.runs:,} runs of {conditions.run.duration:g} s: {asked.combinations:,} "
+        f"combinations of settings × {len(conditions.paths)} paths × {len(conditions.robots)} robots × "
         f"{len(conditions.noise_seeds)} noise seeds × {len(conditions.starts)} starts"
     )
     found = estimate(asked, scheduler, workers)
@@ -79,26 +77,28 @@ def _say_how_long(asked: Sweep, scheduler: str | None, workers: int | None) -> N
 def _run(
     asked: Sweep, title: str, directory: FilePath, scheduler: str | None, workers: int | None
 ) -> None:
-    from adp_path_follower.study.sweeps.overview import summary_text
-    from adp_path_follower.study.sweeps.sweep import run_sweep, write_results
+    from adp_path_follower.study.sweeps.overview import overview, summary_text
+    from adp_path_follower.study.sweeps.sweep import run_missing, write_results
+    from adp_path_follower.study.sweeps.workers import cluster
     from adp_path_follower.study.sweeps.workers.estimate import in_words
+    from adp_path_follower.study.sweeps.workers.parts_folder import PartsFolder
+    from adp_path_follower.study.sweeps.workers.plan import Plan
 
     begun = time.monotonic()
-    fresh = 0
-    with contextlib.ExitStack() as stack:
-
-        def begin(runs: int, there: int) -> Callable[[float], None]:
-            nonlocal fresh
-            fresh = runs - there
-            if there:
-                click.echo(f"{there:,} of {runs:,} runs are there already", err=True)
-            return stack.enter_context(progress_bar(f"simulating {fresh:,} runs"))
-
-        try:
-            found = run_sweep(asked, directory, scheduler, workers, begin)
-        except KeyboardInterrupt:
-            click.echo("\nadp: what is done stays: the same command goes on from it", err=True)
-            raise
+    plan = Plan(asked)
+    with PartsFolder(directory, plan) as folder:
+        missing = folder.missing()
+        fresh = sum(len(plan.runs_of(number)) for number in missing)
+        if fresh < asked.runs:
+            click.echo(f"{asked.runs - fresh:,} of {asked.runs:,} runs are there already", err=True)
+        if missing:
+            with (
+                resumable(),
+                cluster.workers(scheduler, workers) as found_workers,
+                progress_bar(f"simulating {fresh:,} runs") as progress,
+            ):
+                run_missing(folder, missing, found_workers, progress)
+        found = overview(asked, folder.combinations())
     spent = time.monotonic() - begun
     click.echo(summary_text(found))
     write_results(found, title, directory)

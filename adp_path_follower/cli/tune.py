@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
+import dataclasses
 import time
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import click
 
-from adp_path_follower.cli.options import FILE, cluster_options, progress_bar, settings_options
+from adp_path_follower.cli.options import (
+    FILE,
+    cluster_options,
+    progress_bar,
+    resumable,
+    settings_options,
+)
 from adp_path_follower.cli.outputs import write_json
 from adp_path_follower.extras import require
 
-if TYPE_CHECKING:  # Dask and Optuna are wanted when there is something to run
-    from adp_path_follower.study.sweeps.findings import Findings
-    from adp_path_follower.study.sweeps.request.tune_file import Tuning
+if TYPE_CHECKING:  # Dask and Optuna are loaded when there is something to run
+    from adp_path_follower.study.sweeps.request.request import Tuning
 
 
 @click.command()
@@ -77,11 +82,7 @@ def tune(
     best.yaml, which the node loads. An interrupted search goes on with the same command.
     """
     require("adp tune", "sweep")
-    from adp_path_follower.study.sweeps.request.tune_file import (
-        read_tuning,
-        tuning_of_options,
-        with_trials,
-    )
+    from adp_path_follower.study.sweeps.request.files import read_tuning, tuning_of_options
 
     if file is None:
         asked = tuning_of_options(params, assignments, vary, objectives)
@@ -92,13 +93,15 @@ def tune(
         )
     else:
         asked = read_tuning(file)
-    asked = with_trials(asked, trials)
+    if trials is not None:
+        search = dataclasses.replace(asked.search, trials=trials)
+        asked = dataclasses.replace(asked, search=search)
     title = str(file or params or "the default settings")
     if dry_run:
         _say_how_long(asked, scheduler, workers)
         return
     if directory is None:
-        raise click.UsageError("say where the results go: --out DIR")
+        raise click.UsageError("give a folder for the results: --out DIR")
     _run(asked, title, directory, storage, scheduler, workers)
 
 
@@ -107,11 +110,11 @@ def _say_how_long(asked: Tuning, scheduler: str | None, workers: int | None) -> 
 
     sweep = asked.runs_with(asked.conditions.settings)
     found = estimate(sweep, scheduler, workers)
-    at_once = min(found.workers, asked.at_once)
-    seconds = found.seconds_each * sweep.runs * asked.trials / at_once
+    at_once = min(found.workers, asked.search.at_once)
+    seconds = found.seconds_each * sweep.runs * asked.search.trials / at_once
     click.echo(
-        f"{asked.trials:,} settings with {sweep.runs:,} runs of {asked.conditions.duration:g} s "
-        f"each: {asked.trials * sweep.runs:,} runs"
+        f"{asked.search.trials:,} settings with {sweep.runs:,} runs of "
+        f"{asked.conditions.run.duration:g} s each: {asked.search.trials * sweep.runs:,} runs"
     )
     click.echo(
         f"about {in_words(seconds)} on {at_once} processes: a run with the settings before takes "
@@ -127,7 +130,12 @@ def _run(
     scheduler: str | None,
     workers: int | None,
 ) -> None:
-    from adp_path_follower.study.sweeps.findings import findings, findings_text
+    from adp_path_follower.study.sweeps.findings import (
+        as_json,
+        findings,
+        findings_text,
+        write_findings,
+    )
     from adp_path_follower.study.sweeps.study import open_study, tried
     from adp_path_follower.study.sweeps.study import tune as run_tuning
     from adp_path_follower.study.sweeps.workers import cluster
@@ -135,33 +143,24 @@ def _run(
     from adp_path_follower.study.sweeps.workers.output_folder import OutputFolder
 
     begun = time.monotonic()
+    trials = asked.search.trials
     with OutputFolder(directory, "tune", asked.description()):
         place = storage or f"sqlite:///{(directory / 'study.db').absolute()}"
         study = open_study(asked, place, shared=storage is not None)
         there = len(tried(study))
         if there:
-            click.echo(f"{there:,} of {asked.trials:,} trials are there already", err=True)
-        try:
-            with contextlib.ExitStack() as stack:
-                if there < asked.trials:
-                    found_workers = stack.enter_context(cluster.workers(scheduler, workers))
-                    progress = stack.enter_context(
-                        progress_bar(f"trying {asked.trials:,} settings")
-                    )
-                    run_tuning(study, asked, found_workers, progress)
-        except KeyboardInterrupt:
-            click.echo("\nadp: what is done stays: the same command goes on from it", err=True)
-            raise
+            click.echo(f"{there:,} of {trials:,} trials are there already", err=True)
+        if there < trials:
+            with (
+                resumable(),
+                cluster.workers(scheduler, workers) as found_workers,
+                progress_bar(f"trying {trials:,} settings") as progress,
+            ):
+                run_tuning(study, asked, found_workers, progress)
         found = findings(study, asked)
         click.echo(findings_text(found))
-        _write(found, title, directory)
-    click.echo(f"\n{found.trials - there:,} trials in {in_words(time.monotonic() - begun)}")
-
-
-def _write(found: Findings, title: str, directory: FilePath) -> None:
-    from adp_path_follower.study.sweeps.findings import as_json, write_findings
-
-    files = write_findings(found, title, directory)
-    write_json(directory / "findings.json", as_json(found))
+        files = write_findings(found, title, directory)
+        write_json(directory / "findings.json", as_json(found))
     names = [*(file.name for file in files), "findings.json"]
     click.echo(f"\nIn {directory}: {', '.join(names)}")
+    click.echo(f"\n{found.trials - there:,} trials in {in_words(time.monotonic() - begun)}")

@@ -20,7 +20,7 @@ import numpy as np
 import psutil
 import pyarrow.parquet as pq
 
-from adp_path_follower.study.sweeps.request.sweep_file import read_sweep
+from adp_path_follower.study.sweeps.request.files import read_sweep
 from adp_path_follower.study.sweeps.workers.plan import Plan
 
 DEFAULT = FilePath(__file__).parents[2] / "config" / "sweeps" / "twenty_thousand.yaml"

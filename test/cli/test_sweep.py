@@ -26,7 +26,7 @@ from distributed import LocalCluster
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import flatten
-from adp_path_follower.study.sweeps.request.sweep_file import read_sweep
+from adp_path_follower.study.sweeps.request.files import read_sweep
 from adp_path_follower.study.sweeps.workers.cluster import noted_interrupts
 from adp_path_follower.study.sweeps.workers.parts_folder import PartsFolder
 from adp_path_follower.study.sweeps.workers.plan import Plan, work_off
@@ -160,7 +160,7 @@ def test_ctrl_c_is_answered_in_words(tmp_path):
     os.killpg(running.pid, signal.SIGINT)
     _, told = running.communicate(timeout=TIMEOUT)
     assert running.returncode == 130, told
-    assert "the same command goes on from it" in told
+    assert "finished work is kept; the same command resumes it" in told
     assert "Traceback" not in told
 
 

@@ -1,9 +1,10 @@
-"""What a tuning found: the best settings, how much better they are, and which of them matter."""
+"""Findings of a tuning: the best settings, their gain, and the settings that matter."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import asdict, dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -13,98 +14,82 @@ from optuna.trial import FrozenTrial
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.files import output_to, write_output
+from adp_path_follower.core.files import output_to
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import Value, flatten
-from adp_path_follower.study.sweeps.overview import shown
+from adp_path_follower.study.sweeps.overview import shown, write_settings
 from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
-from adp_path_follower.study.sweeps.request.tune_file import Tuning
+from adp_path_follower.study.sweeps.request.request import Tuning
 from adp_path_follower.study.sweeps.score import Score
 from adp_path_follower.study.sweeps.study import baseline, refused, score_of, tried, values_of
 
-_LEAST_TRIALS = 20  # of which the importance of settings can be told
+_LEAST_TRIALS = 20  # fewer do not tell how much a setting matters
 _BEST_SHARE = 0.1  # of the trials: the good ones
 _AT_END = 0.02  # of a range: its end
 
 
 @dataclass(frozen=True)
-class Importance:
-    """How much a setting matters.
-
-    Attributes:
-        item: What was varied.
-        share: Of the difference between good and other settings, from 0 to 1; NaN of too few
-            trials.
-        before: Its value in the settings before; None if it is one of a list.
-        best: Its value in the best settings.
-        good: Where the best tenth of the trials has it: lowest and highest, or the commonest value.
-        at_end: Whether the best value is at an end of the range.
-
-    """
-
-    item: Variation
-    share: float
-    before: Value
-    best: Value
-    good: str
-    at_end: bool
-
-
-@dataclass(frozen=True)
 class Findings:
-    """What a tuning found.
+    """Result of a tuning.
 
     Attributes:
-        tuning: What was tuned.
-        before: The score of the settings before.
-        best: The best trial: stable on every run, with the least objective, or of several the most
-            even compromise; None if there is no stable one.
-        front: The stable trials that no other is better than in everything.
-        importances: What matters most first, for the first objective.
+        tuning: The tuning.
+        before: Score of the settings before.
+        stable: Trials that are stable on every run, the best first by the first objective.
+        front: Stable trials that no other trial dominates; one trial for a single objective.
+        best: Trial of the front with the most even compromise; None if no trial is stable.
+        importance: Variation -> its share in what tells the best trials from the others
+            (PED-ANOVA), from 0 to 1; empty for too few trials.
         trials: Number of trials.
-        unstable: How many of them were unstable in some run.
-        refused: Settings that the validation refused before any run: sentence -> how often.
+        refused: Sentence -> number of settings that the validation rejected with it.
 
     """
 
     tuning: Tuning
     before: Score
-    best: FrozenTrial | None
+    stable: tuple[FrozenTrial, ...]
     front: tuple[FrozenTrial, ...]
-    importances: tuple[Importance, ...]
+    best: FrozenTrial | None
+    importance: dict[str, float]
     trials: int
-    unstable: int
     refused: dict[str, int]
+
+    @property
+    def unstable(self) -> int:
+        """Return the number of trials with an unstable run."""
+        return self.trials - len(self.stable)
+
+    def values(self, trial: FrozenTrial) -> dict[str, Value]:
+        """Return the values of a trial, by the names of the variations."""
+        return values_of(self.tuning, trial.params)
 
     def settings(self, trial: FrozenTrial) -> Settings:
         """Return the settings of a trial."""
-        return self.tuning.settings(values_of(self.tuning, trial.params))
+        return self.tuning.settings_with(self.values(trial))
 
 
 def findings(study: optuna.Study, tuning: Tuning) -> Findings:
-    """Return what a study found."""
+    """Return the findings of a study."""
     trials = tried(study)
     stable = [trial for trial in trials if not score_of(trial).unstable]
-    front = _front(stable)
-    reasons: dict[str, int] = {}
-    for reason in refused(study):
-        reasons[reason] = reasons.get(reason, 0) + 1
-    best = _compromise(front)
+    front = sorted(study.best_trials, key=lambda trial: tuple(trial.values))
+    if len(tuning.objectives) == 1:
+        front = front[:1]
     return Findings(
         tuning=tuning,
         before=baseline(study),
-        best=best,
+        stable=tuple(sorted(stable, key=lambda trial: trial.values[0])),
         front=tuple(front),
-        importances=_importances(tuning, stable, best) if best is not None else (),
+        best=_compromise(front),
+        importance=_importance(tuning, stable),
         trials=len(trials),
-        unstable=len(trials) - len(stable),
-        refused=reasons,
+        refused=dict(Counter(refused(study))),
     )
 
 
 def findings_text(found: Findings) -> str:
-    """Return what was found, in words and a table."""
+    """Return the findings in words and a table."""
     objectives = " and ".join(found.tuning.objectives)
     lines = [
         f"{found.trials:,} settings tried for {objectives}, on {found.before.runs:,} runs each; "
@@ -128,17 +113,17 @@ def findings_text(found: Findings) -> str:
             f"{len(found.front)} settings are on the Pareto front; these are the most even "
             "compromise"
         )
-    lines += ["", *_importance_lines(found)]
+    lines += ["", *_importance_lines(found, found.best)]
     return "\n".join(lines)
 
 
 def write_findings(found: Findings, title: str, directory: FilePath) -> list[FilePath]:
-    """Write the best settings as a parameter file, and those of the front; return the files.
+    """Write the best settings and those of the front as parameter files; return the first.
 
-    Those of a front that was larger before are removed.
+    Files of a larger front before are removed.
 
     Raises:
-        AdpError: A file cannot be written, or does not give the settings again.
+        AdpError: A file cannot be written, or reads back as other settings.
 
     """
     if found.best is None:
@@ -146,72 +131,51 @@ def write_findings(found: Findings, title: str, directory: FilePath) -> list[Fil
     files = [_write(found, found.best, title, directory / "best.yaml")]
     folder = directory / "front"
     front = found.front if len(found.front) > 1 else ()
-    if front:
-        with output_to(folder):
+    with output_to(folder):
+        if front:
             folder.mkdir(exist_ok=True)
+        for file in folder.glob("*.yaml"):
+            if file.stem.isdigit() and int(file.stem) > len(front):
+                file.unlink()
     for number, trial in enumerate(front, start=1):
         _write(found, trial, title, folder / f"{number:03d}.yaml")
-    for file in folder.glob("*.yaml"):
-        if file.stem.isdigit() and int(file.stem) > len(front):
-            with output_to(file):
-                file.unlink()
     return files
 
 
 def as_json(found: Findings) -> dict[str, Any]:
-    """Return what was found as JSON has it."""
+    """Return the findings, ready for JSON."""
+
+    def trial_json(trial: FrozenTrial) -> dict[str, Any]:
+        score = asdict(score_of(trial))
+        return {"trial": trial.number, "settings": found.values(trial), "score": score}
+
     return {
         "objectives": list(found.tuning.objectives),
         "trials": found.trials,
         "unstable": found.unstable,
         "refused": found.refused,
-        "before": found.before.as_json(),
-        "best": None if found.best is None else _trial_json(found, found.best),
-        "front": [_trial_json(found, trial) for trial in found.front],
-        "importance": {item.item.name: item.share for item in found.importances},
-    }
-
-
-def _trial_json(found: Findings, trial: FrozenTrial) -> dict[str, Any]:
-    return {
-        "trial": trial.number,
-        "settings": values_of(found.tuning, trial.params),
-        "score": score_of(trial).as_json(),
+        "before": asdict(found.before),
+        "best": None if found.best is None else trial_json(found.best),
+        "front": [trial_json(trial) for trial in found.front],
+        "importance": {
+            item.name: found.importance.get(item.name, float("nan"))
+            for item in (_ranked(found) if found.best is not None else ())
+        },
     }
 
 
 def _write(found: Findings, trial: FrozenTrial, title: str, file: FilePath) -> FilePath:
-    settings = found.settings(trial)
     score = score_of(trial)
     numbers = ", ".join(
         f"{name} {score.objectives[name]:.5g} (before: {found.before.objectives[name]:.5g})"
         for name in found.tuning.objectives
     )
-    values = values_of(found.tuning, trial.params)
-    changed = ", ".join(f"{name}: {shown(value)}" for name, value in values.items())
-    write_output(
-        file,
-        f"# Found by adp tune {__version__} for {title}, trial {trial.number}: {numbers}.\n"
-        f"# Tuned: {changed}.\n" + parameter_file_text(settings, "path_follower"),
-    )
+    comment = f"Found by adp tune {__version__} for {title}, trial {trial.number}: {numbers}."
+    settings = found.settings(trial)
+    write_settings(file, settings, comment, found.values(trial))
     if load_settings(Settings, "path_follower", file) != settings:
-        raise AdpError(f"file {file} does not give the settings again that were written to it")
+        raise AdpError(f"file {file} reads back as other settings than those written to it")
     return file
-
-
-def _front(trials: list[FrozenTrial]) -> list[FrozenTrial]:
-    """Return the trials that no other is better than in everything, by the first objective."""
-    points = np.array([trial.values for trial in trials]).reshape(len(trials), -1)
-    front: list[FrozenTrial] = []
-    for trial, point in zip(trials, points, strict=True):
-        no_worse = (points <= point).all(axis=1)
-        better = (points < point).any(axis=1)
-        if not (no_worse & better).any():
-            front.append(trial)
-    front.sort(key=lambda trial: tuple(trial.values))
-    if points.shape[1] == 1:
-        return front[:1]
-    return front
 
 
 def _compromise(front: list[FrozenTrial]) -> FrozenTrial | None:
@@ -224,53 +188,29 @@ def _compromise(front: list[FrozenTrial]) -> FrozenTrial | None:
     return front[int(np.argmin(distance))]
 
 
-def _importances(
-    tuning: Tuning, stable: list[FrozenTrial], best: FrozenTrial
-) -> tuple[Importance, ...]:
-    shares = _shares(tuning, stable)
-    base = flatten(tuning.conditions.settings)
-    values = values_of(tuning, best.params)
-    ranked = sorted(stable, key=lambda trial: trial.values[0])
-    good = [
-        values_of(tuning, trial.params)
-        for trial in ranked[: max(3, int(_BEST_SHARE * len(ranked)))]
-    ]
-    found = []
-    for item in tuning.variations:
-        before = base[item.field.name]
-        if not isinstance(item, Listed):
-            before = item.number_in(before)
-        found.append(
-            Importance(
-                item,
-                shares.get(item.name, float("nan")),
-                before,
-                values[item.name],
-                _where(item, [some[item.name] for some in good]),
-                _is_at_end(item, values[item.name]),
-            )
-        )
-    return tuple(sorted(found, key=lambda each: -np.nan_to_num(each.share)))
-
-
-def _shares(tuning: Tuning, stable: list[FrozenTrial]) -> dict[str, float]:
-    """Return how much each setting explains of which trials are among the best (PED-ANOVA)."""
-    if len(stable) < _LEAST_TRIALS or len(tuning.variations) == 1:
-        return {tuning.variations[0].name: 1.0} if len(tuning.variations) == 1 else {}
+def _importance(tuning: Tuning, stable: list[FrozenTrial]) -> dict[str, float]:
+    """Return the importance of each variation for the first objective, among stable trials."""
+    if len(tuning.variations) == 1:
+        return {tuning.variations[0].name: 1.0}
+    if len(stable) < _LEAST_TRIALS:
+        return {}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # experimental features are said to be so
+        warnings.simplefilter("ignore")  # Optuna warns of experimental features
         study = optuna.create_study()
-        study.add_trials(
-            [
+        for trial in stable:
+            study.add_trial(
                 optuna.trial.create_trial(
                     params=trial.params, distributions=trial.distributions, value=trial.values[0]
                 )
-                for trial in stable
-            ]
-        )
+            )
         evaluator = optuna.importance.PedAnovaImportanceEvaluator()
         found = optuna.importance.get_param_importances(study, evaluator=evaluator)
     return {name: float(share) for name, share in found.items()}
+
+
+def _ranked(found: Findings) -> list[Variation]:
+    """Return the variations, the most important first."""
+    return sorted(found.tuning.variations, key=lambda item: -found.importance.get(item.name, 0.0))
 
 
 def _where(item: Variation, values: list[Value]) -> str:
@@ -326,12 +266,24 @@ def _cell(value: str | float) -> str:
     return f"{value:.4f}" if value < 1e6 else "–"
 
 
-def _importance_lines(found: Findings) -> list[str]:
+def _importance_lines(found: Findings, best: FrozenTrial) -> list[str]:
+    """Return a table of the variations: importance, values before and found, and good values."""
+    base, values = flatten(found.tuning.conditions.settings), found.values(best)
+    good = found.stable[: max(3, int(_BEST_SHARE * len(found.stable)))]
     rows = [("setting", "matters", "before", "found", "the best tenth has")]
-    for each in found.importances:
-        share = "–" if np.isnan(each.share) else f"{100.0 * each.share:.0f} %"
-        end = "  (at the end of its range: widen it?)" if each.at_end else ""
-        rows.append((each.item.name, share, shown(each.before), shown(each.best), each.good + end))
+    for item in _ranked(found):
+        share = found.importance.get(item.name)
+        before = base[item.field.name]
+        rows.append(
+            (
+                item.name,
+                "–" if share is None else f"{100.0 * share:.0f} %",
+                shown(before if isinstance(item, Listed) else item.number_in(before)),
+                shown(values[item.name]),
+                _where(item, [found.values(trial)[item.name] for trial in good])
+                + ("  (at the end of its range: widen it?)" * _is_at_end(item, values[item.name])),
+            )
+        )
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     return [
         "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False))

@@ -1,49 +1,27 @@
-"""What the runs of a sweep say of its settings: numbers of each combination, and the best."""
+"""Overview of a sweep: scores of each combination of settings, and the best one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 
 import numpy as np
 
+from adp_path_follower.core.files import write_output
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import parameter_file_text
 from adp_path_follower.core.settings.schema import Value
 from adp_path_follower.study.sweeps.request.objectives import (
     OBJECTIVES,
     Columns,
-    cost_column,
     pareto_front,
     unstable_runs,
 )
-from adp_path_follower.study.sweeps.request.sweep_file import Sweep
-
-
-@dataclass(frozen=True)
-class Case:
-    """The best settings on one path with one robot.
-
-    Attributes:
-        path: Its name.
-        robot: Its name.
-        runs: Number of runs.
-        median: Of J/J*, or of J where J* is not known.
-        high: 95 % quantile.
-        largest: Greatest.
-        cross_track_rms: RMS distance from the path of all runs [m].
-        cross_track_max: Greatest distance of any run [m].
-
-    """
-
-    path: str
-    robot: str
-    runs: int
-    median: float
-    high: float
-    largest: float
-    cross_track_rms: float
-    cross_track_max: float
+from adp_path_follower.study.sweeps.request.request import Sweep
+from adp_path_follower.study.sweeps.score import Score, score_of_runs
 
 
 @dataclass(frozen=True)
@@ -52,12 +30,12 @@ class Overview:
 
     Attributes:
         sweep: The sweep.
-        scores: Objectives, all that there are: name -> values, shape (C,); NaN where a run is lost.
+        scores: All objectives: name -> values, shape (C,); NaN where a run is lost.
         unstable: Number of runs that are not stable, shape (C,).
-        problems: What runs could not be made for: sentence -> number of runs.
-        best: The stable combination with the least first objective; None if all are unstable.
-        cases: The best settings on each path with each robot.
-        relative: Whether cost is J/J*; J otherwise.
+        problems: Sentence -> number of runs that it made impossible.
+        best: Stable combination with the least first objective; None if all are unstable.
+        cases: Path, robot and score of the best settings on each path with each robot.
+        relative: Whether costs are J/J*; J otherwise.
 
     """
 
@@ -66,7 +44,7 @@ class Overview:
     unstable: np.ndarray
     problems: Mapping[str, int]
     best: int | None
-    cases: tuple[Case, ...]
+    cases: tuple[tuple[str, str, Score], ...]
     relative: bool
 
     @property
@@ -92,19 +70,15 @@ class Overview:
         """Return the share of unstable runs of each combination, shape (C,)."""
         return np.asarray(self.unstable * (self.sweep.combinations / self.sweep.runs))
 
-    def values(self, combination: int) -> dict[str, Value]:
-        """Return what varies, by name."""
-        return self.sweep.varied(combination)
-
 
 def overview(sweep: Sweep, groups: Iterable[Columns]) -> Overview:
-    """Return the overview of the runs of each combination, which come one after the other."""
+    """Return the overview of a sweep from the runs of one combination after the other."""
     count = sweep.combinations
     scores = {name: np.full(count, math.nan) for name in OBJECTIVES}
     unstable = np.zeros(count, dtype=int)
     problems: dict[str, int] = {}
     best, least = None, math.inf
-    cases: tuple[Case, ...] = ()
+    cases: tuple[tuple[str, str, Score], ...] = ()
     relative = True
     for columns in groups:
         number = int(columns["combination"][0])
@@ -120,39 +94,45 @@ def overview(sweep: Sweep, groups: Iterable[Columns]) -> Overview:
     return Overview(sweep, scores, unstable, problems, best, cases, relative)
 
 
-def _cases(sweep: Sweep, columns: Columns) -> Iterable[Case]:
-    cost = cost_column(columns)
+def _cases(sweep: Sweep, columns: Columns) -> Iterable[tuple[str, str, Score]]:
+    if not np.isfinite(columns["optimal_cost"]).all():  # then no case shows J/J*
+        columns = {**columns, "optimal_cost": np.full(len(columns["cost"]), math.nan)}
     for source in sweep.conditions.paths:
         for robot in sweep.conditions.robots:
             some = (columns["path"] == source.name) & (columns["robot"] == robot.name)
-            median, high = np.quantile(cost[some], [0.5, 0.95], method="higher")
-            yield Case(
-                source.name,
-                robot.name,
-                int(some.sum()),
-                float(median),
-                float(high),
-                float(cost[some].max()),
-                float(np.sqrt(np.mean(columns["cross_track_rms"][some] ** 2))),
-                float(columns["cross_track_max"][some].max()),
-            )
+            score = score_of_runs({name: values[some] for name, values in columns.items()})
+            yield source.name, robot.name, score
 
 
 def shown(value: Value) -> str:
-    """Return a value as people read it."""
+    """Return a value in few digits."""
     if isinstance(value, tuple):
         return "[" + ", ".join(shown(item) for item in value) + "]"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def write_settings(
+    file: FilePath, settings: Settings, comment: str, values: Mapping[str, Value]
+) -> None:
+    """Write settings as a parameter file, with a comment and the values that were varied.
+
+    Raises:
+        FileError: It cannot be written.
+
+    """
+    varied = ", ".join(f"{name}: {shown(value)}" for name, value in values.items())
+    text = parameter_file_text(settings, "path_follower")
+    write_output(file, f"# {comment}\n# Varied: {varied or 'nothing'}.\n{text}")
+
+
 def summary_text(found: Overview, rows: int = 10) -> str:
-    """Return the best settings as a table, and what else there is to say."""
+    """Return the best settings as a table, with remarks."""
     sweep = found.sweep
     names = [item.name for item in sweep.variations]
     head = [*names, *(_title(name, found.relative) for name in sweep.objectives)]
     table = [head]
     for number in found.ranked[:rows]:
-        values = found.values(int(number))
+        values = sweep.varied(int(number))
         table.append(
             [shown(values[name]) for name in names]
             + [f"{found.scores[name][number]:.4f}" for name in sweep.objectives]

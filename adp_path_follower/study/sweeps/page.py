@@ -1,11 +1,10 @@
-"""The page about a sweep: one file that opens without network."""
+"""The report of a sweep: one HTML file that opens without network."""
 
 from __future__ import annotations
 
 import html
 import itertools
 import math
-from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -21,10 +20,14 @@ from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
 from adp_path_follower.study.sweeps.workers.optima import WHERE_KNOWN
 
 _ROWS = 25
+_MOST_MAPS = 6
+_BINS = 12  # of a range in a heat map, at most
+_MOST_POINTS = 3000  # that are drawn
+_HEIGHT = 420  # [px]
 
 
 def write_sweep_page(found: Overview, title: str, file: FilePath) -> None:
-    """Write the page about a sweep.
+    """Write the report of a sweep.
 
     Raises:
         FileError: It cannot be written.
@@ -51,7 +54,7 @@ def write_sweep_page(found: Overview, title: str, file: FilePath) -> None:
 
 
 def _row(found: Overview, names: list[str], number: int) -> list[str]:
-    values = found.values(number)
+    values = found.sweep.varied(number)
     scores = [f"{found.scores[name][number]:.5g}" for name in found.sweep.objectives]
     return [*(shown(values[name]) for name in names), *scores]
 
@@ -62,32 +65,20 @@ def _caption(key: str, figure: dict, found: Overview) -> tuple[str, str]:
         second = found.sweep.objectives[1]
         return (
             "Pareto front",
-            f"Every point is a combination of settings that is stable in all its runs: {first} "
-            f"({OBJECTIVES[first].meaning}) against {second} ({OBJECTIVES[second].meaning}). On "
-            "the front nothing is better in both.",
+            f"Each point is a combination of settings that is stable in all its runs: {first} "
+            f"({OBJECTIVES[first].meaning}) against {second} ({OBJECTIVES[second].meaning}). No "
+            "point is better in both than a point of the front.",
         )
-    layout, measure = figure["layout"], mapped(found)
+    layout, (name, _, caption) = figure["layout"], _measure(found)
     across = str(layout["xaxis"]["title"]["text"])
     up = str(layout["yaxis"]["title"]["text"])
-    if up == measure.name:
-        return (f"{measure.name} over {across}", f"{measure.caption}: the median at each value.")
+    if up == name:
+        return (f"{name} over {across}", f"{caption}: the median at each value.")
     return (
-        f"{measure.name} over {across} and {up}",
-        f"{measure.caption}: the median over everything else that varies; empty where there is "
-        "none. Point at a field to read of how many.",
+        f"{name} over {across} and {up}",
+        f"{caption}: the median over everything else that varies; empty where there is none. "
+        "Point at a field to read the number of combinations.",
     )
-
-
-_MOST_MAPS = 6
-
-
-_BINS = 12  # of a range in a heat map, at most
-
-
-_MOST_POINTS = 3000  # that are drawn
-
-
-_HEIGHT = 420  # [px]
 
 
 def sweep_figures(found: Overview) -> dict[str, Any]:
@@ -95,56 +86,43 @@ def sweep_figures(found: Overview) -> dict[str, Any]:
     figures: dict[str, go.Figure] = {}
     if len(found.sweep.objectives) > 1 and len(found.ranked):
         figures["pareto"] = _pareto(found)
-    measure = mapped(found)
-    axes = _by_effect(found, measure.values)
+    name, values, _ = _measure(found)
+    axes = _by_effect(found, values)
     if len(axes) == 1:
-        figures["map_1"] = _curve(measure, axes[0])
+        figures["map_1"] = _curve(name, values, axes[0])
     pairs = sorted(itertools.combinations(range(len(axes)), 2), key=sum)[:_MOST_MAPS]
     for number, (first, second) in enumerate(pairs, start=1):
-        figures[f"map_{number}"] = _heat_map(measure, axes[first], axes[second])
+        figures[f"map_{number}"] = _heat_map(name, values, axes[first], axes[second])
     content = {key: figure.to_dict() for key, figure in figures.items()}
     for item in content.values():
         item["layout"].pop("template", None)  # the page has its own colours
     return content
 
 
-@dataclass(frozen=True)
-class Measure:
-    """What the maps show of each combination.
+def _measure(found: Overview) -> tuple[str, FloatArray, str]:
+    """Return what the maps show: name, values (C,), NaN for none, and a caption.
 
-    Attributes:
-        name: Of the quantity.
-        values: Shape (C,); NaN where there is nothing to show.
-        caption: What it is, in a sentence.
-
+    It is the first objective, or the share of unstable runs where no combination is stable.
     """
-
-    name: str
-    values: FloatArray
-    caption: str
-
-
-def mapped(found: Overview) -> Measure:
-    """Return what the maps show: the first objective, or what is wrong where it has no values."""
     name = found.sweep.objectives[0]
     if not len(found.ranked):
-        return Measure(
+        return (
             "unstable runs",
             found.shares_unstable,
-            "Share of runs that are unstable, for no combination is stable in all its runs",
+            "Share of runs that are unstable, as no combination is stable in all its runs",
         )
     values = np.where(found.unstable == 0, found.scores[name], math.nan)
     caption = f"{name} ({OBJECTIVES[name].meaning}) of the combinations that are stable in all runs"
-    return Measure(name, values, caption)
+    return name, values, caption
 
 
 class _Axis:
-    """What varies, in bins: those of its values, or stretches of its range."""
+    """A variation in bins: one for each value, or stretches of a range."""
 
     def __init__(self, item: Variation, found: Overview) -> None:
         self.name = item.name
         count = found.sweep.combinations
-        values = [found.values(number)[item.name] for number in range(count)]
+        values = [found.sweep.varied(number)[item.name] for number in range(count)]
         if isinstance(item, Listed):
             self.labels = [shown(value) for value in item.values]
             place_of = {value: place for place, value in enumerate(item.values)}
@@ -159,7 +137,7 @@ class _Axis:
         self.labels = [f"{low:.3g} to {high:.3g}" for low, high in itertools.pairwise(edges)]
 
     def effect(self, score: FloatArray) -> float:
-        """Return how much of the spread of a score the bins of this axis explain."""
+        """Return the share of a score's variance that the bins of this axis explain."""
         known = np.isfinite(score)
         total = float(np.var(score[known])) if known.any() else 0.0
         if not total:
@@ -171,8 +149,8 @@ class _Axis:
 
 
 def _by_effect(found: Overview, score: FloatArray) -> list[_Axis]:
-    """Return what varies, what matters most to a score first."""
-    # Ranks: a few combinations that are much worse would decide alone.
+    """Return the variations, the one that matters most to a score first."""
+    # Ranks, as a few combinations that are much worse would decide alone.
     ranks = np.full(len(score), math.nan)
     known = np.isfinite(score)
     ranks[known] = np.argsort(np.argsort(score[known]))
@@ -180,9 +158,8 @@ def _by_effect(found: Overview, score: FloatArray) -> list[_Axis]:
     return sorted(axes, key=lambda axis: -axis.effect(ranks))
 
 
-def _heat_map(measure: Measure, first: _Axis, second: _Axis) -> go.Figure:
-    """Return the median of a measure over all else that varies."""
-    score = measure.values
+def _heat_map(name: str, score: FloatArray, first: _Axis, second: _Axis) -> go.Figure:
+    """Return a map of the median score over everything else that varies."""
     median = np.full((len(second.labels), len(first.labels)), math.nan)
     text = np.full(median.shape, "", dtype=object)
     for row, column in np.ndindex(*median.shape):
@@ -200,7 +177,7 @@ def _heat_map(measure: Measure, first: _Axis, second: _Axis) -> go.Figure:
             customdata=text,
             colorscale="Viridis",
             reversescale=True,
-            colorbar={"title": {"text": measure.name, "side": "right"}},
+            colorbar={"title": {"text": name, "side": "right"}},
             hoverongaps=False,
             hovertemplate="%{x}, %{y}: %{z:.5g}, median %{customdata}<extra></extra>",
         )
@@ -213,9 +190,8 @@ def _heat_map(measure: Measure, first: _Axis, second: _Axis) -> go.Figure:
     return figure
 
 
-def _curve(measure: Measure, axis: _Axis) -> go.Figure:
-    """Return the median of a measure over the one thing that varies."""
-    score = measure.values
+def _curve(name: str, score: FloatArray, axis: _Axis) -> go.Figure:
+    """Return a curve of the median score over the only variation."""
     groups = [score[(axis.bins == place) & np.isfinite(score)] for place in range(len(axis.labels))]
     medians = np.array([np.median(some) if len(some) else math.nan for some in groups])
     figure = go.Figure()
@@ -227,13 +203,13 @@ def _curve(measure: Measure, axis: _Axis) -> go.Figure:
         hovertemplate="%{x}: %{y:.5g}<extra></extra>",
     )
     figure.update_xaxes(title_text=axis.name, type="category", automargin=True)
-    figure.update_yaxes(title_text=measure.name)
+    figure.update_yaxes(title_text=name)
     figure.update_layout(height=_HEIGHT, showlegend=False)
     return figure
 
 
 def _pareto(found: Overview) -> go.Figure:
-    """Return all stable combinations by the first two objectives, and the front."""
+    """Return a figure of all stable combinations by the first two objectives, with the front."""
     first, second = found.sweep.objectives[:2]
     front, ranked = found.front, found.ranked
     spread = np.linspace(0, len(ranked) - 1, min(len(ranked), _MOST_POINTS)).astype(int)
@@ -259,9 +235,9 @@ def _pareto(found: Overview) -> go.Figure:
 
 
 def _described(found: Overview, number: int) -> str:
-    values = found.values(number)
+    values = found.sweep.varied(number)
     text = ", ".join(f"{name}: {shown(value)}" for name, value in values.items())
-    return html.escape(text, quote=False)  # Plotly would take tags for its own
+    return html.escape(text, quote=False)  # Plotly would interpret tags
 
 
 def _title(name: str) -> str:
@@ -270,7 +246,7 @@ def _title(name: str) -> str:
 
 
 def _nones(values: np.ndarray) -> list[Any]:
-    """Return numbers as JSON has them: nothing where there is none."""
+    """Return numbers for JSON, None for those that are not finite."""
     if values.ndim > 1:
         return [_nones(row) for row in values]
     return [float(value) if math.isfinite(value) else None for value in values]

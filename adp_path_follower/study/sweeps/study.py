@@ -1,10 +1,11 @@
-"""Optuna's part in tuning: which settings to try next, and where what was tried is kept."""
+"""The Optuna study of a tuning: proposes settings and stores the trials."""
 
 from __future__ import annotations
 
 import warnings
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import optuna
@@ -19,7 +20,7 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.settings.schema import Value, flatten, yaml_text
 from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
-from adp_path_follower.study.sweeps.request.tune_file import Tuning
+from adp_path_follower.study.sweeps.request.request import Tuning
 from adp_path_follower.study.sweeps.score import Score, score_runs
 from adp_path_follower.study.sweeps.workers.cluster import Workers
 
@@ -62,7 +63,7 @@ def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
             if not trial.state.is_finished():  # its command was killed
                 study.tell(trial.number, state=TrialState.FAIL)
     # Of a study that goes on, or that others work on too, the same draws again would be lost work.
-    seed = None if shared else tuning.seed + len(before)
+    seed = None if shared else tuning.search.seed + len(before)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # experimental features are said to be so
         study.sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constant_liar=True)
@@ -86,8 +87,10 @@ def tune(
     under_way: deque[tuple[Trial, Any]] = deque()
     while True:
         done = len(tried(study))
-        progress(min(1.0, done / tuning.trials))
-        while done + len(under_way) < tuning.trials and len(under_way) < tuning.at_once:
+        progress(min(1.0, done / tuning.search.trials))
+        while (
+            done + len(under_way) < tuning.search.trials and len(under_way) < tuning.search.at_once
+        ):
             trial, sweep = _propose(study, tuning, distributions)
             under_way.append((trial, workers.begin(score_runs, sweep)))
         if not under_way:
@@ -138,7 +141,7 @@ def _propose(
         trial = study.ask(distributions)
         try:
             values = values_of(tuning, trial.params)
-            return trial, tuning.runs_with(tuning.settings(values))
+            return trial, tuning.runs_with(tuning.settings_with(values))
         except SettingsError as error:
             reason = str(error)
             trial.set_user_attr(_REFUSED, reason)
@@ -149,7 +152,7 @@ def _propose(
 
 
 def _tell(study: optuna.Study, trial: Trial, score: Score, tuning: Tuning) -> None:
-    trial.set_user_attr(_SCORE, score.as_json())
+    trial.set_user_attr(_SCORE, asdict(score))
     # Above 0 it is no candidate, however little it costs.
     trial.set_constraint("unstable runs", float(score.unstable))
     study.tell(trial, [score.objectives[name] for name in tuning.objectives])
@@ -160,7 +163,7 @@ def _judge_baseline(study: optuna.Study, tuning: Tuning, workers: Workers) -> No
     if _BASELINE in study.user_attrs:
         return
     score = workers.result(workers.begin(score_runs, tuning.runs_with(tuning.conditions.settings)))
-    study.set_user_attr(_BASELINE, score.as_json())
+    study.set_user_attr(_BASELINE, asdict(score))
     base = flatten(tuning.conditions.settings)
     params = {item.name: _base_value(item, base) for item in tuning.variations}
     if None not in params.values() and not study.get_trials(deepcopy=False):

@@ -1,4 +1,4 @@
-"""A sweep from its plan to its results."""
+"""Runs a sweep, and writes its results."""
 
 from __future__ import annotations
 
@@ -6,52 +6,33 @@ from collections.abc import Callable
 from pathlib import Path as FilePath
 
 from adp_path_follower import __version__
-from adp_path_follower.core.files import output_to, write_output
-from adp_path_follower.core.settings.parameter_file import parameter_file_text
-from adp_path_follower.study.sweeps.overview import Overview, overview, shown
+from adp_path_follower.core.files import output_to
+from adp_path_follower.study.sweeps.overview import Overview, write_settings
 from adp_path_follower.study.sweeps.page import write_sweep_page
-from adp_path_follower.study.sweeps.request.sweep_file import Sweep
-from adp_path_follower.study.sweeps.workers.cluster import workers
+from adp_path_follower.study.sweeps.workers.cluster import Workers
 from adp_path_follower.study.sweeps.workers.parts_folder import PartsFolder
-from adp_path_follower.study.sweeps.workers.plan import Plan, work_off
+from adp_path_follower.study.sweeps.workers.plan import work_off
 
 
-def run_sweep(
-    sweep: Sweep,
-    directory: FilePath,
-    address: str | None,
-    count: int | None,
-    begin: Callable[[int, int], Callable[[float], None]],
-) -> Overview:
-    """Do the runs that are not there yet, and return what all of them say.
+def run_missing(
+    folder: PartsFolder, missing: list[int], workers: Workers, progress: Callable[[float], None]
+) -> None:
+    """Run the missing parts of a sweep, and write each one into the folder.
 
     Args:
-        sweep: What to run.
-        directory: Where the results go, and those of an interrupted sweep are.
-        address: Of a Dask scheduler; None for the cores of this machine.
-        count: Number of processes on this machine; None for all cores.
-        begin: Called with the number of runs and of those that are there already; returns what
-            takes the fraction of the rest that is done.
+        folder: Folder of the sweep.
+        missing: Numbers of the missing parts.
+        workers: Workers that run them.
+        progress: Called with the fraction done.
 
     Raises:
-        AdpError: Folder, scheduler or workers fail; what is done stays.
+        AdpError: Folder or workers fail; finished parts stay.
 
     """
-    plan = Plan(sweep)
-    with PartsFolder(directory, plan) as folder:
-        missing = folder.missing()
-        open_runs = sum(len(plan.runs_of(number)) for number in missing)
-        there = sweep.runs - open_runs
-        if not missing:
-            begin(sweep.runs, there)(1.0)
-            return overview(sweep, folder.combinations())
-        with workers(address, count) as found:
-            progress = begin(sweep.runs, there)
-            parts = (plan.part(number) for number in missing)
-            for done, (part, columns) in enumerate(found.results(work_off, parts), start=1):
-                folder.add(part.number, columns)
-                progress(done / len(missing))
-        return overview(sweep, folder.combinations())
+    parts = (folder.plan.part(number) for number in missing)
+    for done, (part, columns) in enumerate(workers.results(work_off, parts), start=1):
+        folder.add(part.number, columns)
+        progress(done / len(missing))
 
 
 def write_results(found: Overview, title: str, directory: FilePath) -> None:
@@ -70,10 +51,6 @@ def write_results(found: Overview, title: str, directory: FilePath) -> None:
     scores = ", ".join(
         f"{name} {found.scores[name][found.best]:.5g}" for name in found.sweep.objectives
     )
-    values = ", ".join(f"{name}: {shown(item)}" for name, item in found.values(found.best).items())
-    write_output(
-        best,
-        f"# The best settings of {title} ({scores}), found by adp sweep {__version__}.\n"
-        f"# Of what was varied: {values or 'nothing'}.\n"
-        + parameter_file_text(found.sweep.settings(found.best), "path_follower"),
-    )
+    comment = f"The best settings of {title} ({scores}), found by adp sweep {__version__}."
+    settings, values = found.sweep.settings(found.best), found.sweep.varied(found.best)
+    write_settings(best, settings, comment, values)

@@ -16,7 +16,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.study.sweeps.overview import overview, summary_text
 from adp_path_follower.study.sweeps.page import sweep_figures
-from adp_path_follower.study.sweeps.request.sweep_file import read_sweep
+from adp_path_follower.study.sweeps.request.files import read_sweep
 from adp_path_follower.study.sweeps.sweep import write_results
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
@@ -75,9 +75,9 @@ def test_the_best_is_the_best_that_is_stable(sweep, tmp_path):
     found = overview(sweep, runs_of(sweep))
     assert found.best == order[0]
     assert found.ranked.tolist() == order.tolist()
-    assert [case.path for case in found.cases] == ["line", "lissajous"]
+    assert [path for path, _, _ in found.cases] == ["line", "lissajous"]
     least = losses(sweep)[order[0]]
-    assert found.cases[1].median == pytest.approx(least + 0.3)
+    assert found.cases[1][2].median == pytest.approx(least + 0.3)
     assert found.scores["worst_case"][order[0]] == pytest.approx(least + 0.3)
     assert found.scores["cost"][order[0]] == pytest.approx(least + 0.15)
 

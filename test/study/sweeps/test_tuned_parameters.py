@@ -15,7 +15,7 @@ import optuna
 from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.ros.runtime.qos import ALL_CHANGES
 from adp_path_follower.study.sweeps.findings import findings, write_findings
-from adp_path_follower.study.sweeps.request.tune_file import read_tuning
+from adp_path_follower.study.sweeps.request.files import read_tuning
 from adp_path_follower.study.sweeps.study import open_study, tune
 
 pytestmark = pytest.mark.nodes

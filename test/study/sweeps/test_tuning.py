@@ -21,8 +21,8 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.study.sweeps.findings import findings, findings_text, write_findings
+from adp_path_follower.study.sweeps.request.files import read_tuning, tuning_of_options
 from adp_path_follower.study.sweeps.request.ranges import Listed, Range, own_range
-from adp_path_follower.study.sweeps.request.tune_file import read_tuning, tuning_of_options
 from adp_path_follower.study.sweeps.study import (
     open_study,
     refused,
@@ -88,8 +88,8 @@ def test_the_best_is_the_best_of_all_that_was_tried(tmp_path):
     assert trials[0].values[0] == found.before.objectives["cost"] >= min(costs)
     # The runs of a trial are judged by the cost before, not by the one that is tuned.
     assert found.before.objectives["cost"] == pytest.approx(score_of(trials[0]).median)
-    shares = {item.item.name: item.share for item in found.importances}
-    assert sum(shares.values()) == pytest.approx(1.0)
+    assert set(found.importance) == set(before)
+    assert sum(found.importance.values()) == pytest.approx(1.0)
 
 
 def test_the_file_that_is_written_gives_the_settings_again(tmp_path):
@@ -274,10 +274,10 @@ BAD = {
     "settings: {max_linear_vel: own}": "has no range of its own",
     "settings: {actor_gain: {low: 3.0, high: 1.0}}": "has an empty range",
     "settings: {}": "'settings' is empty",
-    "trials: 0": "'trials' is 0, but must be an integer from 1",
+    "trials: 0": "'trials' is 0, but must be an integer, at least 1",
     "trails: 3": "did you mean 'trials'?",
     "samples: 3": "unknown entry 'samples'",
-    "objectives: [speed]": "unknown objective 'speed'",
+    "objectives: [speed]": "'objectives' is ['speed'], but must be one of cost, worst_case",
     "objectives: [cost, effort, cross_track, worst_case]": "at most 3",
     "at_once: many": "'at_once' is 'many'",
 }

@@ -1,4 +1,4 @@
-"""What settings are tried on: starts, paths, robots and noise, and for how long."""
+"""The conditions of the runs: starts, paths, robots, noise and duration."""
 
 from __future__ import annotations
 
@@ -7,48 +7,87 @@ import importlib.resources
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path as FilePath
 
 import numpy as np
 
-from adp_path_follower.core.errors import AdpError, SettingsError
-from adp_path_follower.core.files import read_csv_columns
+from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.files import expanded, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import is_path_file, named_path, path_through, read_points
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.core.settings.schema import build, flatten
+from adp_path_follower.core.settings.schema import build, flatten, setting, update
 from adp_path_follower.study.simulation.robot import without_nodes
 from adp_path_follower.study.simulation.simulate import HIGHEST_RATE, LEARNING_MODES, PAPER_START
-from adp_path_follower.study.sweeps.request.sections import Section
+from adp_path_follower.study.sweeps.request.entries import errors_in, section
+from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 
-CONDITION_ENTRIES = (
-    *("params", "set", "starts", "paths", "robots", "noise_seeds"),
-    *("duration", "rate", "learning", "start_arc_length"),
-)
+CONDITION_ENTRIES = ("params", "set", "starts", "robots", "noise_seeds")
 FORTY = "forty"
 _STARTS_FORM = (
-    "'forty', a list of [s, y, theta], {file: starts.csv} or "
+    "'starts' must be 'forty', a list of [s, y, theta], {file: starts.csv} or "
     "{random: 100, box: [1.0, 1.0, 1.0], seed: 0}"
 )
 _MOST_STARTS = 100_000
 _MOST_SEED = 2**31 - 1
 _MOST_SEEDS = 100_000
-_LONGEST = 100_000.0  # [s], more than a day
+_FARTHEST = 1e9  # [m]
 _NOISY = ("position_noise", "heading_noise", "position_drift", "heading_drift", "odometry_drop")
 
 
 @dataclass(frozen=True)
+class RunSettings:
+    """Plain entries of sweep and tuning files."""
+
+    paths: tuple[str, ...] = setting(("lissajous",), "Names or files of paths")
+    objectives: tuple[str, ...] = setting(
+        (), "Numbers that are to be small", choices=tuple(OBJECTIVES)
+    )
+    duration: float = setting(30.0, "Simulated time", unit="s", low=0.1, high=100_000.0)
+    rate: float = setting(100.0, "Control steps per second", unit="Hz", low=1.0, high=HIGHEST_RATE)
+    learning: str = setting("warm", "Learning, as in `adp simulate`", choices=LEARNING_MODES)
+    start_arc_length: float = setting(
+        0.0, "Start of the virtual target", unit="m", low=-_FARTHEST, high=_FARTHEST
+    )
+
+    def __post_init__(self) -> None:
+        """Reject runs without a path, and names that are listed twice."""
+        if not self.paths:
+            raise SettingsError("'paths' is [], but must be a list of names")
+        for entry, names in (("paths", self.paths), ("objectives", self.objectives)):
+            if len(set(names)) < len(names):
+                raise SettingsError(f"'{entry}' has a name twice: {', '.join(names)}")
+
+
+@dataclass(frozen=True)
+class _RandomStarts:
+    """Random starts in a box about the path."""
+
+    random: int = setting(100, "Number of starts", low=1, high=_MOST_STARTS)
+    box: tuple[float, ...] = setting(
+        (1.0, 1.0, math.pi / 3.0), "Half-widths [s, y, theta]", low=0.0, high=1e9, lengths=(3,)
+    )
+    seed: int = setting(0, "Seed of the starts", low=0, high=_MOST_SEED)
+
+
+@dataclass(frozen=True)
+class _RandomStartsEntry:
+    starts: _RandomStarts
+
+
+@dataclass(frozen=True)
 class PathSource:
-    """A path by its name; of a file with its points, so that other machines need no file.
+    """A path by its name; a path file with its points, so that other machines need no file.
 
     Attributes:
-        name: As in the file: a built-in name, or a file.
-        digest: Of the points, empty for built-in paths.
+        name: Built-in name or file, as in the request.
+        digest: Digest of the points, empty for built-in paths.
         points: Shape (N, 2), None for built-in paths.
-        closed: What the file says about its end.
+        closed: Whether the file says that the path is closed.
 
     """
 
@@ -76,7 +115,6 @@ class Robot:
     name: str
     plant: PlantSettings
     faults: FaultScript
-    values: tuple[tuple[str, object], ...]
 
     @property
     def noisy(self) -> bool:
@@ -85,23 +123,25 @@ class Robot:
         entries += [entry.values for entry in self.faults.entries]
         return any(bool(values.get(name, 0.0)) for values in entries for name in _NOISY)
 
+    def description(self) -> str:
+        """Return everything that its runs depend on, as text."""
+        script = [[item.at, item.duration, item.every, item.values] for item in self.faults.entries]
+        return repr((self.plant, script))
+
 
 @dataclass(frozen=True)
 class Conditions:
-    """Everything about the runs but the settings that are varied.
+    """Everything about the runs except the settings that are varied.
 
     Attributes:
-        settings: The settings before anything is varied. Their cost is what J and effort are
-            counted with, whatever the controller's own.
+        settings: The settings before anything is varied. J and effort are counted with their cost,
+            whatever the controller's own cost.
         starts: Initial errors [s, y, theta], shape (B, 3).
-        forty: Whether they are the forty of the reference.
-        paths: What is followed.
-        robots: What follows.
-        noise_seeds: Numbers of the sequences of noise.
-        duration: Simulated time of a run [s].
-        rate: Control steps per second [Hz].
-        learning: As `simulate` has it.
-        start_arc_length: Where the virtual target starts [m].
+        forty: Whether these are the forty starts of the reference.
+        paths: Paths that are followed.
+        robots: Robots that follow them.
+        noise_seeds: Numbers of the noise sequences.
+        run: Duration, rate and learning of the runs.
 
     """
 
@@ -111,59 +151,48 @@ class Conditions:
     paths: tuple[PathSource, ...]
     robots: tuple[Robot, ...]
     noise_seeds: tuple[int, ...]
-    duration: float
-    rate: float
-    learning: str
-    start_arc_length: float
+    run: RunSettings
 
     def description(self) -> dict[str, object]:
-        """Return everything that the results depend on, as JSON has it."""
+        """Return everything that the results depend on, ready for JSON."""
         return {
             "settings": {name: repr(value) for name, value in flatten(self.settings).items()},
             "starts": self.starts.tolist(),
             "paths": [[path.name, path.digest, path.closed] for path in self.paths],
-            "robots": [[robot.name, _robot_text(robot)] for robot in self.robots],
+            "robots": [[robot.name, robot.description()] for robot in self.robots],
             "noise_seeds": list(self.noise_seeds),
-            "duration": self.duration,
-            "rate": self.rate,
-            "learning": self.learning,
-            "start_arc_length": self.start_arc_length,
+            "duration": self.run.duration,
+            "rate": self.run.rate,
+            "learning": self.run.learning,
+            "start_arc_length": self.run.start_arc_length,
         }
 
 
-def read_conditions(file: Section) -> Conditions:
-    """Return the conditions that a file asks for.
+def read_conditions(
+    entries: Mapping[str, object], folder: FilePath, run: RunSettings
+) -> Conditions:
+    """Return the conditions of a request.
+
+    Args:
+        entries: All entries of the request.
+        folder: Folder from which files are named.
+        run: Plain entries among them.
 
     Raises:
-        AdpError: An entry cannot be; the message names it.
+        AdpError: An entry is wrong; the message names it.
 
     """
-    starts, forty = _starts(file)
-    robots = _robots(file)
-    learning = file.choice("learning", "warm", LEARNING_MODES)
+    starts = _starts(entries.get("starts", [list(PAPER_START)]), folder)
+    robots = _robots(section(entries, "robots"))
     return Conditions(
-        settings=base_settings(file),
+        settings=_base_settings(entries, folder),
         starts=starts,
-        forty=forty,
-        paths=tuple(_path(file, name) for name in file.words("paths", ["lissajous"])),
+        forty=entries.get("starts") == FORTY,
+        paths=tuple(_path(name, folder) for name in run.paths),
         robots=robots,
-        noise_seeds=_noise_seeds(file, robots, len(starts)),
-        duration=file.number("duration", 30.0, low=0.1, high=_LONGEST),
-        rate=file.number("rate", 100.0, low=1.0, high=HIGHEST_RATE),
-        learning=learning,
-        start_arc_length=file.number("start_arc_length", 0.0, low=-math.inf),
+        noise_seeds=_noise_seeds(entries.get("noise_seeds", 1), robots, len(starts)),
+        run=run,
     )
-
-
-def base_settings(file: Section) -> Settings:
-    """Return the settings of `params` with the changes of `set`."""
-    changes = dict(file.section("set").items())
-    params = file.file_entry("params")
-    try:
-        settings = load_settings(Settings, "path_follower", params)
-        return build(Settings, {**flatten(settings), **changes})
-    except SettingsError as error:
-        raise file.problem(str(error)) from None
 
 
 def forty_starts() -> FloatArray:
@@ -173,86 +202,75 @@ def forty_starts() -> FloatArray:
         return read_csv_columns(path, ("s", "y", "theta"))
 
 
-def _starts(file: Section) -> tuple[FloatArray, bool]:
-    given = file.get("starts", [list(PAPER_START)])
+def _base_settings(entries: Mapping[str, object], folder: FilePath) -> Settings:
+    """Return the settings of `params` with the changes of `set`."""
+    params = entries.get("params")
+    file = None if params is None else _file("params", params, folder)
+    return update(load_settings(Settings, "path_follower", file), section(entries, "set"))
+
+
+def _file(entry: str, value: object, folder: FilePath) -> FilePath:
+    if not isinstance(value, str):
+        raise SettingsError(f"'{entry}' is {value!r}, but must be a file name")
+    return folder / expanded(value)
+
+
+def _starts(given: object, folder: FilePath) -> FloatArray:
     if given == FORTY:
-        return forty_starts(), True
+        return forty_starts()
     if isinstance(given, Mapping):
-        section = file.section("starts")
-        if "file" in section:
-            section.only(("file",))
-            named = section.file_entry("file")
-            if named is None:
-                raise section.problem("'file' is empty: name a CSV file with columns s,y,theta")
-            return _checked_starts(file, read_csv_columns(named, ("s", "y", "theta"))), False
-        section.only(("random", "box", "seed"))
-        return _random_starts(section), False
-    return _checked_starts(file, given), False
+        if "file" in given:
+            if len(given) > 1:
+                raise SettingsError(_STARTS_FORM)
+            named = _file("file", given["file"], folder)
+            return _checked_starts(read_csv_columns(named, ("s", "y", "theta")))
+        with errors_in("starts"):
+            return _random_starts({str(name): value for name, value in given.items()})
+    return _checked_starts(given)
 
 
-def _random_starts(section: Section) -> FloatArray:
-    count = section.whole("random", 100, low=1, high=_MOST_STARTS)
-    seed = section.whole("seed", 0, low=0, high=_MOST_SEED)
-    box = section.get("box", [1.0, 1.0, math.pi / 3.0])
-    try:
-        half_widths = np.asarray(box, dtype=float)
-    except (TypeError, ValueError):
-        half_widths = np.zeros(0)
-    if half_widths.shape != (3,) or not np.isfinite(half_widths).all() or (half_widths < 0.0).any():
-        raise section.problem(
-            f"'box' is {box!r}, but must be the half-widths [s, y, theta] about the path, three "
-            "numbers that are not negative"
-        )
-    uniform = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 3))
-    return np.asarray(uniform * half_widths)
+def _random_starts(entries: Mapping[str, object]) -> FloatArray:
+    asked = build(_RandomStartsEntry, entries).starts
+    uniform = np.random.default_rng(asked.seed).uniform(-1.0, 1.0, (asked.random, 3))
+    return np.asarray(uniform * asked.box)
 
 
-def _checked_starts(file: Section, given: object) -> FloatArray:
+def _checked_starts(given: object) -> FloatArray:
     try:
         starts = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
         starts = np.zeros(0)
     if starts.ndim != 2 or starts.shape[1] != 3 or not len(starts):
-        raise file.problem(f"'starts' must be {_STARTS_FORM}")
+        raise SettingsError(_STARTS_FORM)
     if not np.isfinite(starts).all() or len(starts) > _MOST_STARTS:
-        raise file.problem(f"'starts' must be finite numbers, at most {_MOST_STARTS} starts")
+        raise SettingsError(f"'starts' must be finite numbers, at most {_MOST_STARTS} starts")
     return starts
 
 
-def _path(file: Section, name: str) -> PathSource:
-    if not is_path_file(name):
-        source = PathSource(name)
-    else:
-        points, closed = read_points(file.beside(name))
-        digest = hashlib.sha256(np.ascontiguousarray(points).tobytes()).hexdigest()
-        source = PathSource(name, digest, points, closed)
-    try:
+def _path(name: str, folder: FilePath) -> PathSource:
+    with errors_in(f"path '{name}'"):
+        if not is_path_file(name):
+            source = PathSource(name)
+        else:
+            points, closed = read_points(folder / expanded(name))
+            digest = hashlib.sha256(np.ascontiguousarray(points).tobytes()).hexdigest()
+            source = PathSource(name, digest, points, closed)
         source.path(PathSettings())
-    except AdpError as error:
-        raise file.problem(f"path '{name}': {error}") from None
-    return source
+        return source
 
 
-def _robots(file: Section) -> tuple[Robot, ...]:
-    section = file.section("robots")
+def _robots(entries: Mapping[str, object]) -> tuple[Robot, ...]:
     found = []
-    for name, given in section.items():
-        values = {} if given is None else given
-        if not isinstance(values, Mapping):
-            raise section.problem(f"'{name}' is {given!r}, but must be NAME: VALUE of the robot")
-        if "seed" in values:
-            raise section.problem(f"'{name}' has a seed: leave it out, and set noise_seeds")
-        try:
-            settings = build(SimulatorSettings, {str(key): item for key, item in values.items()})
-            plant, faults = without_nodes(settings)
-        except AdpError as error:
-            raise section.problem(f"robot '{name}': {error}") from None
-        found.append(Robot(name, plant, faults, tuple((str(k), v) for k, v in values.items())))
-    return tuple(found) or (Robot("ideal", PlantSettings(), FaultScript(), ()),)
+    for name in entries:
+        with errors_in(f"robot '{name}'"):
+            values = section(entries, name) if entries[name] is not None else {}
+            if "seed" in values:
+                raise SettingsError("remove its seed, and set noise_seeds")
+            found.append(Robot(name, *without_nodes(build(SimulatorSettings, values))))
+    return tuple(found) or (Robot("ideal", PlantSettings(), FaultScript()),)
 
 
-def _noise_seeds(file: Section, robots: tuple[Robot, ...], starts: int) -> tuple[int, ...]:
-    given = file.get("noise_seeds", 1)
+def _noise_seeds(given: object, robots: tuple[Robot, ...], starts: int) -> tuple[int, ...]:
     most = _MOST_SEED // starts - 1
     listed = given if isinstance(given, list) else [given]
     seeds = [seed for seed in listed if isinstance(seed, int) and not isinstance(seed, bool)]
@@ -262,20 +280,13 @@ def _noise_seeds(file: Section, robots: tuple[Robot, ...], starts: int) -> tuple
         seeds = list(range(min(seeds[0], _MOST_SEEDS + 1)))
     allowed = all(0 <= seed <= most for seed in seeds) and len(set(seeds)) == len(seeds)
     if not 0 < len(seeds) <= _MOST_SEEDS or not allowed:
-        raise file.problem(
-            f"'noise_seeds' is {given!r}, but must be how many (at most {_MOST_SEEDS}), or a list "
-            f"of different integers from 0 to {most}"
+        raise SettingsError(
+            f"'noise_seeds' is {given!r}, but must be a number of sequences (at most "
+            f"{_MOST_SEEDS}), or a list of different integers from 0 to {most}"
         )
     if len(seeds) > 1 and not any(robot.noisy for robot in robots):
-        raise file.problem(
+        raise SettingsError(
             f"'noise_seeds' asks for {len(seeds)} sequences of noise, but no robot of 'robots' is "
             "noisy: give one position_noise, or leave noise_seeds out"
         )
     return tuple(sorted(seeds))
-
-
-def _robot_text(robot: Robot) -> str:
-    script = [
-        [entry.at, entry.duration, entry.every, entry.values] for entry in robot.faults.entries
-    ]
-    return repr((robot.plant, script))

@@ -1,4 +1,4 @@
-"""What a setting is varied over: listed values, or a range of numbers."""
+"""Variations of a setting: listed values, or a range of numbers."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from adp_path_follower.core.settings.schema import (
     setting_fields,
     unknown_name,
 )
-from adp_path_follower.study.sweeps.request.sections import Section
+from adp_path_follower.study.sweeps.request.entries import errors_in
 
 OWN = "own"
-_OWN_FACTOR = 10.0  # below and above a value: the range that is a setting's own
+_OWN_FACTOR = 10.0  # a setting's own range goes from a tenth to ten times its value
 _RANGE_FORM = "a range is {low: 0.1, high: 10.0} or {low: 0.1, high: 10.0, log: true}"
 
 
@@ -34,17 +34,21 @@ class Listed:
         """Return the setting's name."""
         return self.field.name
 
+    def description(self) -> list[object]:
+        """Return name and values, ready for JSON."""
+        return [self.name, [repr(value) for value in self.values]]
+
 
 @dataclass(frozen=True)
 class Range:
-    """A range of a setting, or of one of the numbers of a list.
+    """A range of a setting, or of one number of a list.
 
     Attributes:
         field: The setting.
-        item: Which number of a list; None for a setting that is one number.
+        item: Place in the list; None for a setting that is one number.
         low: Lowest value.
         high: Highest value.
-        log: Whether the logarithm of the value is what is varied evenly.
+        log: Whether the logarithm of the value is varied evenly.
 
     """
 
@@ -56,7 +60,7 @@ class Range:
 
     @property
     def name(self) -> str:
-        """Return the setting's name, of a list with the number's place, as in "state_cost[1]"."""
+        """Return the setting's name; with its place in a list, as in "state_cost[1]"."""
         return self.field.name if self.item is None else f"{self.field.name}[{self.item}]"
 
     @property
@@ -64,8 +68,12 @@ class Range:
         """Return whether its values are whole numbers."""
         return (self.field.item_kind or self.field.kind) is int
 
+    def description(self) -> list[object]:
+        """Return name and range, ready for JSON."""
+        return [self.name, self.low, self.high, self.log]
+
     def number_in(self, value: Value) -> float:
-        """Return the number that is varied, of a value of the setting."""
+        """Return the number that is varied from a value of the setting."""
         number = value[self.item] if isinstance(value, tuple) and self.item is not None else value
         assert isinstance(number, int | float)  # others have no range
         return number
@@ -86,45 +94,42 @@ Variation = Listed | Range
 
 
 def read_variations(
-    section: Section, base: Mapping[str, Value], *, own: bool = False
+    entries: Mapping[str, object], base: Mapping[str, Value], *, own: bool = False
 ) -> tuple[Variation, ...]:
-    """Return what a section of a file varies.
+    """Return the variations of the `settings` section of a request.
 
     Args:
-        section: Setting: list of values, or range; of a list of numbers, `low` and `high` may be
-            lists, and each number is varied by itself.
+        entries: Setting -> list of values, or range. For a list of numbers, `low` and `high` may
+            be lists, and each number varies by itself.
         base: The values of all settings before.
         own: Whether "own" is allowed, for the range of `own_range`.
 
     Raises:
-        SettingsError: An unknown setting, an empty range, or values that the setting cannot have.
+        SettingsError: An unknown setting, an empty range, or values that the setting rejects.
 
     """
     fields = {field.name: field for field in setting_fields(Settings)}
     found: list[Variation] = []
-    for name, given in section.items():
-        if name not in fields:
-            raise section.problem(unknown_name(name, fields))
-        field = fields[name]
-        try:
+    with errors_in("settings"):
+        for name, given in entries.items():
+            if name not in fields:
+                raise SettingsError(unknown_name(name, fields))
             if own and given == OWN:
-                found += own_range(field, base[name])
+                found += own_range(fields[name], base[name])
             elif isinstance(given, Mapping):
-                found += _ranges(field, given, base[name])
+                found += _ranges(fields[name], given, base[name])
             else:
-                found.append(_listed(field, given))
-        except SettingsError as error:
-            raise section.problem(str(error)) from None
+                found.append(_listed(fields[name], given))
     return tuple(found)
 
 
 def own_range(field: SettingField, value: Value) -> list[Variation]:
-    """Return the range that is a setting's own: a tenth to ten times its value, as far as allowed.
+    """Return a setting's own range: a tenth to ten times its value, within its limits.
 
-    A setting of few choices is tried with all of them, one that is 0 over all that is allowed.
+    A setting with choices is tried with all of them. A value of 0 gets the whole allowed range.
 
     Raises:
-        SettingsError: There is no end to what is allowed, or the setting is a text.
+        SettingsError: The allowed range is infinite, or the setting is a text.
 
     """
     if field.kind is bool:
@@ -144,7 +149,7 @@ def own_range(field: SettingField, value: Value) -> list[Variation]:
             low, high, log = max(low, ends[0]), min(high, ends[1]), number > 0.0
         if not (math.isfinite(low) and math.isfinite(high)):
             raise SettingsError(
-                f"setting '{field.name}' is {number:g}, which has no range of its own: say "
+                f"setting '{field.name}' is {number:g}, which has no range of its own: give "
                 "{low: ..., high: ...}"
             )
         if (field.item_kind or field.kind) is int:
@@ -154,11 +159,11 @@ def own_range(field: SettingField, value: Value) -> list[Variation]:
 
 
 def settings_values(values: Mapping[str, Value], base: Mapping[str, Value]) -> dict[str, Value]:
-    """Return values of variations by setting: those of numbers of a list put into the list.
+    """Return values by setting; numbers of a list are put into their list.
 
     Args:
         values: By the names of the variations.
-        base: The values of all settings before; they give the rest of the lists.
+        base: The values of all settings before; they complete the lists.
 
     """
     found: dict[str, Value] = {}
@@ -188,7 +193,7 @@ def _listed(field: SettingField, given: object) -> Listed:
 
 
 def _ranges(field: SettingField, given: Mapping[str, object], value: Value) -> list[Variation]:
-    """Return the range of a number, or those of the numbers of a list that are varied."""
+    """Return the range of a number, or the ranges of the numbers of a list."""
     unknown = sorted(set(map(str, given)) - {"low", "high", "log"})
     if unknown or not {"low", "high"} <= set(given):
         raise SettingsError(f"setting '{field.name}' is {dict(given)}, but {_RANGE_FORM}")
@@ -197,7 +202,7 @@ def _ranges(field: SettingField, given: Mapping[str, object], value: Value) -> l
         raise SettingsError(f"setting '{field.name}' has log: {log}, but must be true or false")
     if (field.item_kind or field.kind) not in (int, float):
         raise SettingsError(
-            f"setting '{field.name}' is {field.type_name}: list the values to try, as no range is"
+            f"setting '{field.name}' is {field.type_name} and has no range: list the values to try"
         )
     if field.item_kind is None:
         low, high = checked(field, given["low"]), checked(field, given["high"])
@@ -228,7 +233,7 @@ def _range(field: SettingField, item: int | None, low: Value, high: Value, log: 
             "low must be below high"
         )
     if not (math.isfinite(low) and math.isfinite(high)):
-        raise SettingsError(f"setting '{found.name}' has a range without end: give finite numbers")
+        raise SettingsError(f"setting '{found.name}' has an infinite range: give finite numbers")
     if log and low <= 0.0:
         raise SettingsError(
             f"setting '{found.name}' has log: true, but low is {low:g}: it must be above 0"

@@ -36,8 +36,8 @@ def optimal_costs(conditions: Conditions, settings: Settings, source: PathSource
     known = (
         conditions.forty
         and name in _PATHS
-        and conditions.start_arc_length == 0.0
-        and conditions.duration >= _LONG_ENOUGH
+        and conditions.run.start_arc_length == 0.0
+        and conditions.run.duration >= _LONG_ENOUGH
         and _reference_problem(conditions.settings, settings)
     )
     return _table()[:, _PATHS.index(name)] if known else unknown

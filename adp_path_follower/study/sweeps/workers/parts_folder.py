@@ -1,4 +1,4 @@
-"""The results of a sweep: its parts as Parquet files, each written whole or not at all."""
+"""The results of a sweep as Parquet files, each written as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from adp_path_follower.study.sweeps.workers.output_folder import UNFINISHED, Out
 from adp_path_follower.study.sweeps.workers.plan import Plan
 from adp_path_follower.study.sweeps.workers.runs import Columns
 
-_MARK = b"adp_sweep"  # under which a file says of which sweep it is
+_MARK = b"adp_sweep"  # key of the sweep's digest in each file
 
 
 class PartsFolder(OutputFolder):
-    """The folder of a sweep; a part that is there is whole."""
+    """The folder of a sweep; each part in it is complete."""
 
     def __init__(self, directory: FilePath, plan: Plan) -> None:
         """Open the folder of a sweep, or make it.
@@ -30,7 +30,7 @@ class PartsFolder(OutputFolder):
 
         """
         super().__init__(directory, "sweep", plan.sweep.description())
-        self._plan = plan
+        self.plan = plan
         self._digest = plan.sweep.digest.encode()
         self.runs = directory / "runs"
         try:
@@ -45,8 +45,8 @@ class PartsFolder(OutputFolder):
         return self.runs / f"part-{part:07d}.parquet"
 
     def missing(self) -> list[int]:
-        """Return the numbers of the parts that are not there yet."""
-        return [part for part in range(self._plan.parts) if not self._is_there(part)]
+        """Return the numbers of the missing parts."""
+        return [part for part in range(self.plan.parts) if not self._is_there(part)]
 
     def add(self, part: int, columns: Columns) -> None:
         """Write a part.
@@ -70,7 +70,7 @@ class PartsFolder(OutputFolder):
     def combinations(self) -> Iterator[Columns]:
         """Return the runs of each combination of settings, one combination after the other."""
         pending: list[Columns] = []
-        for part in range(self._plan.parts):
+        for part in range(self.plan.parts):
             columns = self.read(part)
             bounds = np.flatnonzero(np.diff(columns["combination"])) + 1
             for first, last in itertools.pairwise([0, *bounds.tolist(), len(columns["run"])]):
@@ -83,15 +83,15 @@ class PartsFolder(OutputFolder):
             yield _joined(pending)
 
     def _is_there(self, part: int) -> bool:
-        """Return whether a part is there, of this sweep and with all its runs."""
+        """Return whether a part of this sweep exists, with all its runs."""
         file = self.file_of(part)
         if not file.exists():
             return False
         try:
             metadata = pq.read_metadata(file)
         except (pa.ArrowException, OSError):
-            return False  # a damaged disk: these runs are made again
-        expected = len(self._plan.runs_of(part))
+            return False  # damaged: these runs are repeated
+        expected = len(self.plan.runs_of(part))
         mark = (metadata.metadata or {}).get(_MARK)
         return bool(metadata.num_rows == expected and mark == self._digest)
 

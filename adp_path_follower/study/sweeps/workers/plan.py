@@ -9,7 +9,7 @@ import numpy as np
 
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.study.sweeps.request.sweep_file import Sweep
+from adp_path_follower.study.sweeps.request.request import Sweep
 from adp_path_follower.study.sweeps.workers.optima import optimal_costs
 from adp_path_follower.study.sweeps.workers.runs import MOST_AT_ONCE, Batch, Columns, simulate_batch
 
@@ -101,10 +101,7 @@ class Plan:
                 starts=conditions.starts[start[some]],
                 optimal_cost=optimal[start[some]],
                 first_seed=int(robot_seed[some[0]]),
-                duration=conditions.duration,
-                rate=conditions.rate,
-                learning=conditions.learning,
-                start_arc_length=conditions.start_arc_length,
+                run=conditions.run,
             )
             shared = {
                 "combination": np.full(len(some), combination),

@@ -1,4 +1,4 @@
-"""A batch of runs, as a worker does it: from settings to a table of numbers."""
+"""Simulates a batch of runs on a worker, and measures them."""
 
 from __future__ import annotations
 
@@ -16,22 +16,13 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import CostSettings, PathSettings, Settings
 from adp_path_follower.core.settings.schema import update
 from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
-from adp_path_follower.study.sweeps.request.conditions import PathSource, Robot
+from adp_path_follower.study.sweeps.request.conditions import PathSource, Robot, RunSettings
 from adp_path_follower.study.sweeps.workers.tracking import TrackingMeter
 
-MOST_AT_ONCE = 128  # runs that one call simulates: what hides Python's overhead
+MOST_AT_ONCE = 128  # runs that one call simulates, to hide Python's overhead
 
-# What is measured of every run: name, unit, meaning.
-MEASURES: tuple[tuple[str, str, str], ...] = (
-    ("cost", "", "J = ∫ eᵀQe + uᵀRu along the true motion"),
-    ("optimal_cost", "", "J* of the offline optimum from the same start, ideal robot"),
-    ("cost_ratio", "", "J / J*"),
-    ("effort", "", "∫ uᵀRu"),
-    ("cross_track_rms", "m", "RMS distance from the path after the transient"),
-    ("cross_track_max", "m", "Greatest distance from the path after the transient"),
-    ("settling_time", "s", "Until the error to the virtual target stays below 0.05"),
-    ("excitation", "", "Smallest certificate of excitation; NaN where nothing learns"),
-)
+# Measured columns that are NaN for an impossible run.
+MEASURES = ("cost", "cost_ratio", "effort", "cross_track_rms", "cross_track_max", "excitation")
 
 
 @dataclass(frozen=True)
@@ -39,18 +30,15 @@ class Batch:
     """Runs that differ in start and noise only.
 
     Attributes:
-        first_run: Number of the first of the runs.
-        settings: The controller's.
-        cost: What J and effort are counted with.
-        source: The path.
-        robot: The robot.
+        first_run: Number of the first run.
+        settings: Settings of the controller.
+        cost: Cost that J and effort are counted with.
+        source: Path to follow.
+        robot: Robot that follows it.
         starts: Initial errors, shape (B, 3).
-        optimal_cost: J* of each, shape (B,).
-        first_seed: Seed of the first run's noise; each next run has the next.
-        duration: Simulated time [s].
-        rate: Control steps per second [Hz].
-        learning: As `simulate` has it.
-        start_arc_length: Where the virtual target starts [m].
+        optimal_cost: J* of each run, shape (B,).
+        first_seed: Seed of the first run's noise; each next run has the next seed.
+        run: Duration, rate and learning.
 
     """
 
@@ -62,10 +50,7 @@ class Batch:
     starts: FloatArray
     optimal_cost: FloatArray
     first_seed: int
-    duration: float
-    rate: float
-    learning: str
-    start_arc_length: float
+    run: RunSettings
 
     def __len__(self) -> int:
         """Return the number of runs."""
@@ -76,15 +61,14 @@ Columns = dict[str, np.ndarray]
 
 
 def simulate_batch(batch: Batch) -> Columns:
-    """Return what the runs measure: column name -> values, shape (B,).
+    """Return the measurements of the runs: column name -> values, shape (B,).
 
-    A run that cannot be (settings that do not fit the path) is not stable, and its `problem` says
-    why.
+    An impossible run (settings that do not fit the path) is not stable, and its `problem` says why.
     """
     count = len(batch)
     try:
         path = _path(batch.source, batch.settings.path)
-        meter = TrackingMeter(path, count, batch.duration, 1.0 / batch.rate)
+        meter = TrackingMeter(path, count, batch.run.duration, 1.0 / batch.run.rate)
         found = _simulated(batch, path, meter)
     except (AdpError, np.linalg.LinAlgError) as error:
         return _refused(batch, str(error))
@@ -107,7 +91,7 @@ def simulate_batch(batch: Batch) -> Columns:
 
 
 def _simulated(batch: Batch, path: Path, meter: TrackingMeter) -> SimulationResult:
-    """Return the runs, judged by the batch's cost and driven with the controller's own."""
+    """Return the runs, with the batch's cost counted and the controller's own cost driving."""
     judged = dataclasses.replace(batch.settings, cost=batch.cost)
 
     def controller(given: Settings, path: Path, arc_length: FloatArray) -> PathFollower:
@@ -120,10 +104,10 @@ def _simulated(batch: Batch, path: Path, meter: TrackingMeter) -> SimulationResu
             judged,
             path,
             batch.starts,
-            start_arc_length=batch.start_arc_length,
-            duration=batch.duration,
-            rate=batch.rate,
-            learning=batch.learning,
+            start_arc_length=batch.run.start_arc_length,
+            duration=batch.run.duration,
+            rate=batch.run.rate,
+            learning=batch.run.learning,
             plant=dataclasses.replace(batch.robot.plant, seed=batch.first_seed),
             faults=batch.robot.faults if batch.robot.faults.entries else None,
             controller=controller,
@@ -151,7 +135,7 @@ def _refused(batch: Batch, problem: str) -> Columns:
     nothing = np.full(len(batch), math.nan)
     return {
         **_identity(batch),
-        **{name: nothing for name, _, _ in MEASURES},
+        **dict.fromkeys(MEASURES, nothing),
         "optimal_cost": batch.optimal_cost,
         "settling_time": np.full(len(batch), math.inf),
         "stable": np.zeros(len(batch), dtype=bool),

@@ -18,9 +18,8 @@ from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.study.sweeps.request.conditions import PathSource, forty_starts
+from adp_path_follower.study.sweeps.request.files import read_sweep, read_tuning
 from adp_path_follower.study.sweeps.request.ranges import Range
-from adp_path_follower.study.sweeps.request.sweep_file import read_sweep
-from adp_path_follower.study.sweeps.request.tune_file import read_tuning
 from adp_path_follower.study.sweeps.workers.optima import optimal_costs
 from adp_path_follower.study.sweeps.workers.plan import Plan
 from folders import ROOT
@@ -194,7 +193,7 @@ def test_starts_from_a_box_are_in_it_and_always_the_same(tmp_path):
 def test_the_examples_can_be_read(file):
     text = file.read_text(encoding="utf-8")
     if "trials:" in text:
-        assert read_tuning(file).trials > 0
+        assert read_tuning(file).search.trials > 0
     else:
         sweep = read_sweep(file)
         assert flatten(sweep.settings(sweep.combinations - 1)) != flatten(build(Settings, {}))
@@ -222,12 +221,12 @@ BAD = {
     "settings: {actor_gain: {low: 1.0, high: 2.0, lgo: true}}": "a range is {low: 0.1",
     "settings: {actor_gain: {low: 0.0, high: 1.0, log: true}}": "must be above 0",
     "settings: {actor_gain: {low: -1.0, high: 1.0}}": "'actor_gain' is -1.0, but must be",
-    "settings: {actor_gain: {low: 1.0, high: 2.0}}": "so say how many points",
+    "settings: {actor_gain: {low: 1.0, high: 2.0}}": "so give the number of points",
     "settings: {critic: {low: 1.0, high: 2.0}}": "list the values to try",
     "settings: {learning: {low: false, high: true}}": "list the values to try",
-    "settings: {max_linear_vel: {low: 1.0, high: .inf}}\nsamples: 4": "range without end",
+    "settings: {max_linear_vel: {low: 1.0, high: .inf}}\nsamples: 4": "has an infinite range",
     "settings: {state_cost: {low: [1.0], high: 2.0}}\nsamples: 4": "but must be a list of numbers",
-    "settings: {basis_degree: [8], sample_count: [100]}": "basis_degree: 8, sample_count: 100 can",
+    "settings: {basis_degree: [8], sample_count: [100]}": "basis_degree: 8, sample_count: 100 is not",
     "samples: 4": "'settings' has no range to sample",
     "settings: [1]": "'settings' is [1], but must be NAME: VALUE entries",
     "set: {actor_gain: -1.0}": "setting 'actor_gain' is -1.0",
@@ -238,7 +237,7 @@ BAD = {
     "starts: []": "'starts' must be 'forty'",
     "starts: [[0, 0]]": "'starts' must be 'forty'",
     "starts: [[0, 0, .nan]]": "finite",
-    "starts: {random: 0}": "'random' is 0, but must be an integer from 1",
+    "starts: {random: 0}": "starts: setting 'random' is 0, but must be an integer, at least 1",
     "starts: {random: 5, box: [1.0, -1.0, 0.0]}": "'box' is [1.0, -1.0, 0.0]",
     "starts: {ramdom: 5}": "did you mean 'random'?",
     "starts: {file: nowhere.csv}": "nowhere.csv cannot be read",
@@ -247,23 +246,23 @@ BAD = {
     "paths: [line, line]": "'paths' has a name twice",
     "paths: []": "'paths' is [], but must be a list of names",
     "robots: {bad: {fricton: 0.1}}": "robot 'bad': unknown setting 'fricton'",
-    "robots: {bad: {seed: 1}}": "set noise_seeds",
+    "robots: {bad: {seed: 1}}": "robot 'bad': remove its seed, and set noise_seeds",
     "robots: {bad: 3}": "'bad' is 3, but must be NAME: VALUE",
     "robots: {bad: {rate: 50.0}}": "'rate' is of the simulator node",
     "noise_seeds: 3": "no robot of 'robots' is noisy",
     "noise_seeds: -1": "'noise_seeds' is -1",
     "noise_seeds: 99999999999": "'noise_seeds' is 99999999999",
     "noise_seeds: [1, one]": "'noise_seeds' is [1, 'one']",
-    "starts: {file: null}": "'file' is empty",
+    "starts: {file: null}": "'file' is None, but must be a file name",
     "settings: {actor_gain: [1.0], actor_gain: [2.0]}": "line 1: 'actor_gain' is there twice",
-    "duration: 0": "'duration' is 0, but must be a finite number, at least 0.1, at most 100000",
+    "duration: 0": "'duration' is 0, but must be a number, at least 0.1, at most 100000 [s]",
     "duration: 1e300": "'duration' is 1e+300",
-    "rate: 1e5": "'rate' is 100000.0, but must be a finite number, at least 1, at most 10000",
+    "rate: 1e5": "'rate' is 100000.0, but must be a number, at least 1, at most 10000 [Hz]",
     "duration: true": "'duration' is True",
     "rate: .inf": "'rate' is inf",
     "learning: hot": "'learning' is 'hot', but must be one of cold, warm, frozen",
-    "start_arc_length: here": "'start_arc_length' is 'here', but must be a finite number",
-    "objectives: [speed]": "unknown objective 'speed': choose from cost",
+    "start_arc_length: here": "'start_arc_length' is 'here', but must be a number",
+    "objectives: [speed]": "'objectives' is ['speed'], but must be one of cost, worst_case",
     "- 1": "must hold NAME: VALUE entries",
     "settings: {actor_gain: [": "not YAML",
 }

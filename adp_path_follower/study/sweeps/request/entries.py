@@ -1,0 +1,83 @@
+"""Reads the entries of sweep and tuning files; errors name the file and the section."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import TypeVar
+
+from adp_path_follower.core.errors import AdpError, SettingsError
+from adp_path_follower.core.files import read_yaml
+from adp_path_follower.core.settings.schema import build, setting_fields
+
+Tree = TypeVar("Tree")
+Entries = dict[str, object]
+
+
+def read_entries(file: FilePath) -> Entries:
+    """Return the NAME: VALUE entries of a YAML file.
+
+    Raises:
+        FileError: The file cannot be read.
+        SettingsError: It holds something else.
+
+    """
+    content = read_yaml(file)
+    if not isinstance(content, Mapping):
+        raise SettingsError(f"file {file} must hold NAME: VALUE entries (docs/sweeps.md)")
+    return {str(name): value for name, value in content.items()}
+
+
+@contextlib.contextmanager
+def errors_in(place: str) -> Iterator[None]:
+    """Prefix errors of the block with the file or section that they are about.
+
+    Raises:
+        SettingsError: The block raised an AdpError.
+
+    """
+    try:
+        yield
+    except AdpError as error:
+        raise SettingsError(f"{place}: {error}") from None
+
+
+def section(entries: Mapping[str, object], name: str) -> Entries:
+    """Return an entry that holds entries itself; empty if it is missing.
+
+    Raises:
+        SettingsError: It holds something else.
+
+    """
+    found = entries.get(name, {})
+    if not isinstance(found, Mapping):
+        raise SettingsError(f"'{name}' is {found!r}, but must be NAME: VALUE entries")
+    return {str(key): value for key, value in found.items()}
+
+
+def build_entries(tree: type[Tree], entries: Mapping[str, object], others: Sequence[str]) -> Tree:
+    """Return the settings tree of a file's entries; a single text stands for a list of one.
+
+    Args:
+        tree: Settings tree of the plain entries.
+        entries: All entries.
+        others: Names of entries that are read elsewhere.
+
+    Raises:
+        SettingsError: An entry has an unknown name, a wrong type, or is out of range.
+
+    """
+    fields = {field.name: field for field in setting_fields(tree)}
+    values: Entries = {}
+    for name, value in entries.items():
+        if name in fields:
+            single = fields[name].item_kind is str and isinstance(value, str)
+            values[name] = [value] if single else value
+        elif name not in others:
+            known = [*others, *fields]
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"available: {', '.join(known)}"
+            raise SettingsError(f"unknown entry '{name}'; {hint}")
+    return build(tree, values)
