@@ -63,8 +63,9 @@ def _say_how_long(asked: Sweep, scheduler: str | None, workers: int | None) -> N
     conditions = asked.conditions
     click.echo(
         f"{asked.runs:,} runs of {conditions.run.duration:g} s: {asked.combinations:,} "
-        f"combinations of settings × {len(conditions.paths)} paths × {len(conditions.robots)} robots × "
-        f"{len(conditions.noise_seeds)} noise seeds × {len(conditions.starts)} starts"
+        f"combinations of settings × {len(conditions.paths)} paths × "
+        f"{len(conditions.robots)} robots × {len(conditions.noise_seeds)} noise seeds × "
+        f"{len(conditions.starts)} starts"
     )
     found = estimate(asked, scheduler, workers)
     click.echo(

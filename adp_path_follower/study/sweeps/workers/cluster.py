@@ -7,6 +7,7 @@ import itertools
 import logging
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -213,9 +214,10 @@ def _check_versions(client: Client, address: str) -> None:
 def noted_interrupts() -> Iterator[Callable[[], None]]:
     """Note SIGINT while it raises `KeyboardInterrupt`; yield what raises it again if there was one.
 
-    Python ignores what is raised in a destructor, and Dask's futures have long ones: without the
-    note an interrupt there would be no more than a line of warning, and the work go on. Only the
-    main thread is ever interrupted.
+    Python ignores an exception raised in a destructor or in a callback of the garbage collector,
+    and Dask has both: without the note the work would go on after an interrupt there. Python's
+    warning about it is left out, for the interrupt is answered. Only the main thread is ever
+    interrupted.
     """
     received = False
 
@@ -231,8 +233,15 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield check
         return
-    before = signal.signal(signal.SIGINT, receive)
+
+    def warn(unraisable: sys.UnraisableHookArgs) -> None:
+        if unraisable.exc_type is not KeyboardInterrupt:
+            usual_warning(unraisable)
+
+    before, usual_warning = signal.signal(signal.SIGINT, receive), sys.unraisablehook
+    sys.unraisablehook = warn
     try:
         yield check
     finally:
+        sys.unraisablehook = usual_warning
         signal.signal(signal.SIGINT, before)

@@ -226,7 +226,9 @@ BAD = {
     "settings: {learning: {low: false, high: true}}": "list the values to try",
     "settings: {max_linear_vel: {low: 1.0, high: .inf}}\nsamples: 4": "has an infinite range",
     "settings: {state_cost: {low: [1.0], high: 2.0}}\nsamples: 4": "but must be a list of numbers",
-    "settings: {basis_degree: [8], sample_count: [100]}": "basis_degree: 8, sample_count: 100 is not",
+    "settings: {basis_degree: [8], sample_count: [100]}": (
+        "basis_degree: 8, sample_count: 100 is not"
+    ),
     "samples: 4": "'settings' has no range to sample",
     "settings: [1]": "'settings' is [1], but must be NAME: VALUE entries",
     "set: {actor_gain: -1.0}": "setting 'actor_gain' is -1.0",
