@@ -39,16 +39,26 @@ def peer(domain: int) -> Iterator[Any]:
     found.close()
 
 
+@pytest.fixture(scope="session")
+def node_server() -> Iterator[Any]:
+    """Yield the process that nodes are forks of."""
+    from forked_nodes import NodeServer
+
+    server = NodeServer()
+    yield server
+    server.close()
+
+
 @pytest.fixture
-def start(domain: int, tmp_path: FilePath) -> Iterator[Callable[..., Any]]:
+def start(domain: int, tmp_path: FilePath, node_server: Any) -> Iterator[Callable[..., Any]]:
     """Yield a function that starts nodes; they end with the test."""
-    from adp_path_follower.study.demo.processes import NodeProcess
+    from forked_nodes import forked_node
 
-    running: list[NodeProcess] = []
+    running: list[Any] = []
 
-    def starter(executable: str, *arguments: str, **parameters: Any) -> NodeProcess:
+    def starter(executable: str, *arguments: str, **parameters: Any) -> Any:
         log = tmp_path / f"{executable}_{len(running)}.log"
-        node = NodeProcess(executable, parameters, log=log, domain=domain, arguments=arguments)
+        node = forked_node(node_server, executable, parameters, log, domain, arguments)
         running.append(node)
         return node
 

@@ -71,18 +71,22 @@ class NodeProcess:
             "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         }
-        command = [
-            sys.executable,
-            "-m",
-            "adp_path_follower.ros.runtime.entry",
-            executable,
-            "--ros-args",
+        settings = [
+            part
+            for name, value in parameters.items()
+            for part in ("-p", f"{name}:={yaml_text(value)}")
         ]
-        for name, value in parameters.items():
-            command += ["-p", f"{name}:={yaml_text(value)}"]
-        with log.open("wb") as output:
-            self.process = subprocess.Popen(  # noqa: S603  # our own executable
-                [*command, *arguments],
+        self.process = self._started(
+            [executable, "--ros-args", *settings, *arguments], environment
+        )
+
+    def _started(
+        self, arguments: list[str], environment: dict[str, str]
+    ) -> subprocess.Popen[bytes]:
+        """Start an executable with arguments and return the process."""
+        with self.log.open("wb") as output:
+            return subprocess.Popen(  # noqa: S603  # our own executable
+                [sys.executable, "-m", "adp_path_follower.ros.runtime.entry", *arguments],
                 env=environment,
                 stdin=subprocess.DEVNULL,
                 stdout=output,

@@ -159,7 +159,7 @@ def test_a_clock_that_does_not_start_stands_still_or_jumps_back(peer, start):
 
 HANGING_CONTROLLER = """
 import sys, time
-from adp_path_follower.ros import controller_process
+from adp_path_follower.ros.controller import process
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.ros.controller.path_input import PathInput
 from adp_path_follower.ros.controller.telemetry import Telemetry
@@ -174,7 +174,7 @@ def hanging(*arguments, **named):
     return works(*arguments, **named)
 
 setattr(OWNER, NAME, hanging)
-sys.exit(controller_process.main())
+sys.exit(process.main())
 """
 
 

@@ -1,0 +1,216 @@
+"""Start nodes as forks of one process that has imported their libraries.
+
+A node needs most of a second of processor time to import numpy, scipy and the core; a fork has
+them. All else is as in a process of its own: the entry point of the executable, its arguments,
+environment, signals, process group and exit code. Other tests start each node as a new Python.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import resource
+import runpy
+import select
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path as FilePath
+from typing import Any
+
+_ENTRY = "adp_path_follower.ros.runtime.entry"
+# Not rclpy: its import starts threads, which a fork would lose.
+_PRELOADED = (
+    "adp_path_follower.core.driving.driver",
+    "adp_path_follower.core.path.preparation",
+    "adp_path_follower.core.learning.weights_file",
+    "adp_path_follower.core.safety.odometry_check",
+    "adp_path_follower.core.safety.supervisor",
+    "adp_path_follower.core.settings.parameter_file",
+    "adp_path_follower.messages.configuration",
+    "adp_path_follower.messages.raw",
+    "adp_path_follower.bags.writer",
+    "sim_unicycle.disturbances",
+    "sim_unicycle.fault_script",
+    "sim_unicycle.unicycle",
+    "diagnostic_msgs.msg",
+    "geometry_msgs.msg",
+    "lifecycle_msgs.srv",
+    "nav_msgs.msg",
+    "rcl_interfaces.srv",
+    "rosgraph_msgs.msg",
+    "std_srvs.srv",
+)
+
+
+class ForkedProcess:
+    """A fork of the server: the part of `subprocess.Popen` that tests use."""
+
+    def __init__(self, server: NodeServer, pid: int) -> None:
+        self.pid = pid
+        self.returncode: int | None = None
+        self._server = server
+        self._end = os.pidfd_open(pid)
+
+    def poll(self) -> int | None:
+        """Return the exit code, or None while the process runs."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.wait(0.0)
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end of the process and return its exit code.
+
+        Raises:
+            subprocess.TimeoutExpired: It still runs after the timeout [s].
+
+        """
+        if self.returncode is None:
+            if not select.select([self._end], [], [], timeout)[0]:
+                raise subprocess.TimeoutExpired("node", timeout or 0.0)
+            self.returncode = self._server.ask(reap=self.pid)
+            os.close(self._end)
+        return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless the process has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Send SIGTERM."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Send SIGKILL."""
+        self.send_signal(signal.SIGKILL)
+
+
+class NodeServer:
+    """The process that is forked; it ends when its maker closes it or ends."""
+
+    def __init__(self) -> None:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, __file__], stdin=theirs, process_group=0
+            )
+        self._ours, self._answers = ours, ours.makefile("r")
+
+    def ask(self, **request: Any) -> int:
+        """Return the number that the server answers a request with."""
+        self._ours.sendall(json.dumps(request).encode() + b"\n")
+        answer = self._answers.readline()
+        assert answer, "the server of nodes has ended"
+        return int(answer)
+
+    def start(
+        self, arguments: list[str], environment: dict[str, str], log: FilePath, *, script: str = ""
+    ) -> ForkedProcess:
+        """Start a node of the package, or a Python script, and return the process.
+
+        Args:
+            arguments: What follows ``python -m adp_path_follower.ros.runtime.entry``.
+            environment: The environment.
+            log: File for what it prints.
+            script: Python text to run instead of a node.
+
+        """
+        pid = self.ask(
+            arguments=arguments,
+            environment=environment,
+            log=str(log),
+            script=script,
+            folder=os.getcwd(),
+            file_size=resource.getrlimit(resource.RLIMIT_FSIZE),
+        )
+        return ForkedProcess(self, pid)
+
+    def close(self) -> None:
+        """End the server."""
+        self._answers.close()
+        self._ours.close()
+        self._process.wait()
+
+
+def forked_node(
+    server: NodeServer,
+    executable: str,
+    parameters: dict[str, Any],
+    log: FilePath,
+    domain: int,
+    arguments: tuple[str, ...] = (),
+) -> Any:
+    """Return a node of the package as a fork of the server; see `NodeProcess`."""
+    from adp_path_follower.study.demo.processes import NodeProcess
+
+    class ForkedNode(NodeProcess):
+        """A node that a server has started."""
+
+        def _started(self, arguments: list[str], environment: dict[str, str]) -> Any:
+            return server.start(arguments, environment, self.log)
+
+    return ForkedNode(executable, parameters, log=log, domain=domain, arguments=arguments)
+
+
+def _preload() -> None:
+    from adp_path_follower.threads import use_one_blas_thread
+
+    use_one_blas_thread()
+    for name in _PRELOADED:
+        importlib.import_module(name)
+    assert len(os.listdir("/proc/self/task")) == 1, "a process with threads cannot be forked"
+    gc.collect()
+    gc.freeze()
+
+
+def _serve() -> dict[str, Any]:
+    """Answer requests until there are no more; return, in a fork only, what to run there."""
+    connection = socket.socket(fileno=os.dup(0))
+    for line in connection.makefile("r"):
+        request = json.loads(line)
+        if "reap" in request:
+            _, status = os.waitpid(request["reap"], 0)
+            answer = os.waitstatus_to_exitcode(status)
+        else:
+            answer = os.fork()
+            if answer == 0:
+                connection.close()
+                return request
+            os.setpgid(answer, answer)  # here and in the fork: whoever comes first
+        connection.sendall(f"{answer}\n".encode())
+    os._exit(0)
+
+
+def _become(request: dict[str, Any]) -> None:
+    """Take over what a process of its own would have been started with."""
+    os.setpgid(0, 0)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    output = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+    for source, target in ((nothing, 0), (output, 1), (output, 2)):
+        os.dup2(source, target)
+    os.closerange(3, 256)
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    os.chdir(request["folder"])
+    resource.setrlimit(resource.RLIMIT_FSIZE, tuple(request["file_size"]))
+    sys.argv = [_ENTRY, *request["arguments"]]
+
+
+def _main() -> None:
+    _preload()
+    request = _serve()
+    _become(request)
+    if request["script"]:
+        sys.argv = ["-c"]
+        exec(compile(request["script"], "<string>", "exec"), {"__name__": "__main__"})  # noqa: S102
+    else:
+        runpy.run_module(_ENTRY, run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    _main()
