@@ -78,6 +78,17 @@ def drive(peer: Any, start: Callable[..., Any]) -> Any:
 
 
 @pytest.fixture(scope="session")
+def scheduler() -> Iterator[str]:
+    """Yield the address of a Dask cluster whose only worker is a thread of the test process."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(scope="session")
 def paper() -> Any:
     """Return the paper's settings, all of them explicit and without limits of the command."""
     from printed import PAPER_SETTINGS

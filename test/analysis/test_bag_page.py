@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
@@ -108,11 +108,25 @@ def open_page(browser: Any, file: FilePath, size: str = "wide", scheme: str = "l
     return visit
 
 
+@pytest.fixture(scope="module")
+def visits(pages, browser) -> Callable[..., Visit]:
+    """Return a function that opens a page once, for all tests that only look at it."""
+    opened: dict[tuple[str, str, str], Visit] = {}
+
+    def visit(name: str, size: str = "wide", scheme: str = "light") -> Visit:
+        key = (name, size, scheme)
+        if key not in opened:
+            opened[key] = open_page(browser, pages[name], size, scheme)
+        return opened[key]
+
+    return visit
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", WIDTHS)
 @pytest.mark.parametrize("name", ["one", "two"])
-def test_it_opens_without_complaint_and_without_network(pages, browser, name, size, scheme):
-    visit = open_page(browser, pages[name], size, scheme)
+def test_it_opens_without_complaint_and_without_network(pages, visits, name, size, scheme):
+    visit = visits(name, size, scheme)
     assert visit.said == []
     assert visit.asked == [pages[name].as_uri()]
     width = visit.page.evaluate("document.documentElement.scrollWidth")
@@ -127,9 +141,9 @@ def test_it_opens_without_complaint_and_without_network(pages, browser, name, si
 
 
 @pytest.mark.parametrize("name", ["one", "two"])
-def test_the_metrics_can_be_read_on_a_telephone(pages, browser, name):
+def test_the_metrics_can_be_read_on_a_telephone(visits, name):
     """Name, meaning, unit and every value, without scrolling; the name stays where it must be."""
-    visit = open_page(browser, pages[name], "narrow")
+    visit = visits(name, "narrow")
     table = visit.page.locator("#metrics .scroll")
     assert table.evaluate("(element) => element.scrollWidth <= element.clientWidth")
     row = visit.page.locator("#metrics tr", has_text="Median time from odometry")
@@ -138,7 +152,7 @@ def test_the_metrics_can_be_read_on_a_telephone(pages, browser, name):
     name_cell = row.locator("th")
     assert name_cell.evaluate("(element) => getComputedStyle(element).position") == "sticky"
     assert name_cell.bounding_box()["width"] > 130
-    wide = open_page(browser, pages[name]).page.locator("#metrics tr", has_text="latency_p50")
+    wide = visits(name).page.locator("#metrics tr", has_text="latency_p50")
     assert wide.inner_text().split("\t")[-2:] == [
         *("s", "Median time from odometry to its command, as recorded")
     ]
@@ -167,23 +181,23 @@ def test_the_slider_moves_the_robot_and_every_line(pages, browser):
 
 
 @pytest.mark.parametrize("name", ["one", "two", "foreign"])
-def test_captions_speak_of_what_is_there(pages, browser, name):
-    text = open_page(browser, pages[name]).page.inner_text("main")
+def test_captions_speak_of_what_is_there(visits, name):
+    text = visits(name).page.inner_text("main")
     learned = name != "foreign"
     assert ("virtual target" in text) == learned
     assert ("dashed lines are the limits" in text) == learned
     assert ("colour is the distance" in text) == (name != "two")
 
 
-def test_all_kinds_of_events_have_their_place(pages, browser):
+def test_all_kinds_of_events_have_their_place(visits):
     axis = "document.getElementById('figure-events')._fullLayout.yaxis"
-    visit = open_page(browser, pages["two"])
+    visit = visits("two")
     assert visit.page.evaluate(f"{axis}.range") == [-0.5, 4.5]
     assert visit.page.evaluate(f"{axis}.categoryarray") == list(reversed(KINDS))
 
 
-def test_only_a_target_that_was_recorded_is_drawn(pages, browser):
-    visit = open_page(browser, pages["two"])
+def test_only_a_target_that_was_recorded_is_drawn(visits):
+    visit = visits("two")
     names = visit.page.evaluate(
         "document.getElementById('figure-track').layout.shapes.map((shape) => shape.name)"
     )

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from adp_path_follower.analysis import events
 from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
-from adp_path_follower.analysis.events import MOST_EVENTS
 from adp_path_follower.analysis.metrics import METRICS, approach
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous
@@ -163,23 +163,24 @@ def test_the_learners_numbers_and_states(tmp_path):
     assert sorted(shown) == sorted(f"w{index}" for index in range(4, 14))
 
 
-def test_a_thousand_paths_hide_no_fault(tmp_path):
+def test_many_paths_hide_no_fault(tmp_path, monkeypatch):
     """As behind a planner that plans anew all the time, before the robot gets into trouble."""
+    monkeypatch.setattr(events, "MOST_EVENTS", 60)  # so that a tenth of the paths are too many
     ahead = [(0.1 * index, 0.0) for index in range(3)]
     paths = [
-        ("/path", SECOND + index * 5_000_000, path_message([*ahead, (1.0 + 0.001 * index, 0.0)]))
-        for index in range(1000)
+        ("/path", SECOND + index * 40_000_000, path_message([*ahead, (1.0 + 0.01 * index, 0.0)]))
+        for index in range(125)
     ]
     found = analysed(tmp_path, sorted([*learner_run(), *paths], key=lambda item: item[1]))
     kinds = [event.kind for event in found.events]
-    assert len(kinds) == MOST_EVENTS
+    assert len(kinds) == 60
     assert [kinds.count(kind) for kind in ("state", "fault", "parameter")] == [3, 1, 1]
     times = [event.time for event in found.events if event.kind == "path"]
-    assert max(np.diff(times[1:])) < 0.05  # the first came long before
+    assert max(np.diff(times[1:])) < 0.2  # the first came long before
     assert times[-1] > 4.9
-    left_out = 1001 - (MOST_EVENTS - 5)
+    left_out = 126 - (60 - 5)
     assert found.events_left_out in found.notes
-    assert found.events_left_out.startswith(f"{left_out} of 1001 path events are left out")
+    assert found.events_left_out.startswith(f"{left_out} of 126 path events are left out")
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
+from commands import Done, adp
 from folders import CONFIG
 
 pytest.importorskip("distributed", reason="the extra 'sweep' is not installed")
@@ -21,7 +22,6 @@ pytest.importorskip("distributed", reason="the extra 'sweep' is not installed")
 import psutil
 import pyarrow.parquet as pq
 import yaml
-from distributed import LocalCluster
 
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
@@ -54,12 +54,6 @@ duration: 1.0
 
 def command(*arguments: str | FilePath) -> list[str]:
     return [sys.executable, "-m", "adp_path_follower.cli.main", *map(str, arguments)]
-
-
-def adp(*arguments: str | FilePath, **options) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(*arguments), capture_output=True, text=True, timeout=TIMEOUT, **options
-    )
 
 
 def until(condition: Callable[[], object], what: str) -> None:
@@ -122,7 +116,12 @@ def test_killed_worker_and_killed_command_cost_nothing_but_time(tmp_path):
     assert 1 < there < parts
     times = {part: part.stat().st_mtime_ns for part in (out / "runs").glob("part-*")}
 
-    again = adp("sweep", file, "--out", out, "--workers", "2")
+    again = subprocess.run(
+        command("sweep", file, "--out", out, "--workers", "2"),
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT,
+    )
     assert again.returncode == 0, again.stderr
     assert f"{120 * there:,} of 1,440 runs are there already" in again.stderr
     assert done() == parts
@@ -134,7 +133,7 @@ def test_killed_worker_and_killed_command_cost_nothing_but_time(tmp_path):
     assert not list(out.rglob("*.unfinished"))
 
     # Once more: nothing is left to do, and nothing is done.
-    third = adp("sweep", file, "--out", out)
+    third = adp("sweep", str(file), "--out", str(out))
     assert third.returncode == 0
     assert "0 runs" in third.stdout
     assert third.stdout.splitlines()[:5] == again.stdout.splitlines()[:5]
@@ -207,30 +206,28 @@ def check_what_was_written(file: FilePath, out: FilePath, found: dict[str, np.nd
 def check_refusals(file: FilePath, out: FilePath) -> None:
     """Another sweep, another version, a folder of something else."""
     file.write_text(SWEEP.replace("duration: 2.0", "duration: 3.0"))
-    refused(adp("sweep", file, "--out", out), "is of another sweep, which differs in duration")
+    refused(
+        adp("sweep", str(file), "--out", str(out)), "is of another sweep, which differs in duration"
+    )
     file.write_text(SWEEP)
     note = out / "sweep.json"
     note.write_text(note.read_text().replace('"version": "', '"version": "9.'))
-    refused(adp("sweep", file, "--out", out), "is of adp_path_follower 9.")
+    refused(adp("sweep", str(file), "--out", str(out)), "is of adp_path_follower 9.")
 
 
-def refused(done: subprocess.CompletedProcess[str], words: str) -> None:
+def refused(done: Done | subprocess.CompletedProcess[str], words: str) -> None:
     assert done.returncode == 2
     assert words in done.stderr
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("adp: ")
 
 
-def test_a_sweep_on_a_cluster_is_the_same(tmp_path):
+def test_a_sweep_on_a_cluster_is_the_same(tmp_path, scheduler):
     file, out = tmp_path / "sweep.yaml", tmp_path / "out"
     file.write_text(SMALL)
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
-    ) as cluster:
-        address = cluster.scheduler_address
-        done = adp("sweep", file, "--out", out, "--scheduler", address)
-        assert done.returncode == 0, done.stderr
-        dry = adp("sweep", file, "--dry-run", "--scheduler", address)
+    done = adp("sweep", str(file), "--out", str(out), "--scheduler", scheduler)
+    assert done.returncode == 0, done.stderr
+    dry = adp("sweep", str(file), "--dry-run", "--scheduler", scheduler)
     assert_same(table(out), expected(file))
     assert dry.returncode == 0
     assert dry.stdout.startswith("2 runs of 1 s: 2 combinations of settings × 1 paths × 1 robots")
@@ -282,17 +279,17 @@ def test_bad_input_is_one_sentence_and_exit_code_2(folder, case):
 
 
 @pytest.mark.parametrize("name", ["best.yaml", "report.html"])
-def test_results_that_cannot_be_written_are_named_at_the_end(tmp_path, name):
+def test_results_that_cannot_be_written_are_named_at_the_end(tmp_path, scheduler, name):
     file, out = tmp_path / "small.yaml", tmp_path / "out"
     file.write_text(SMALL)
     with PartsFolder(out, Plan(read_sweep(file))):
         (out / name / "full").mkdir(parents=True)
-    done = adp("sweep", file, "--out", out, "--workers", "1")
+    done = adp("sweep", str(file), "--out", str(out), "--scheduler", scheduler)
     refused(done, f"output {out / name} cannot be written: Is a directory")
     assert "target_gain" in done.stdout  # what was found is said all the same
     (out / name / "full").rmdir()
     (out / name).rmdir()
-    again = adp("sweep", file, "--out", out)
+    again = adp("sweep", str(file), "--out", str(out))
     assert again.returncode == 0, again.stderr
     assert (out / name).is_file()
 
@@ -305,7 +302,7 @@ def test_two_commands_do_not_write_into_one_folder(tmp_path):
     out.mkdir()
     with (out / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        done = adp("sweep", tmp_path / "small.yaml", "--out", out)
+        done = adp("sweep", str(tmp_path / "small.yaml"), "--out", str(out))
     refused(done, "is being written by another adp sweep")
 
 

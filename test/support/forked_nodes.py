@@ -120,6 +120,7 @@ class NodeServer:
             script: Python text to run instead of a node.
 
         """
+        log.write_bytes(b"")  # now: who reads it may come before the fork writes
         pid = self.ask(
             arguments=arguments,
             environment=environment,
@@ -153,6 +154,9 @@ def forked_node(
 
         def _started(self, arguments: list[str], environment: dict[str, str]) -> Any:
             return server.start(arguments, environment, self.log)
+
+        def stop(self, number: int = signal.SIGINT, timeout: float = 60.0) -> int:
+            return super().stop(number, timeout)
 
     return ForkedNode(executable, parameters, log=log, domain=domain, arguments=arguments)
 
@@ -197,6 +201,7 @@ def _become(request: dict[str, Any]) -> None:
     os.environ.clear()
     os.environ.update(request["environment"])
     os.chdir(request["folder"])
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may ignore it (nohup)
     resource.setrlimit(resource.RLIMIT_FSIZE, tuple(request["file_size"]))
     sys.argv = [_ENTRY, *request["arguments"]]
 

@@ -30,8 +30,9 @@ _FIRST_ANSWER_TIMEOUT = 8.0  # [s] after which a service is called again
 FRAMES = ("odom", "base_link")
 CONTROLLER = [sys.executable, "-m", "adp_path_follower.ros.runtime.entry", "controller"]
 LAUNCHER = """
-import subprocess, sys, time
+import signal, subprocess, sys, time
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may have ignored it (nohup)
 node = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL)
 print(node.pid, flush=True)
 time.sleep(1000.0)
@@ -48,6 +49,7 @@ class Peer:
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self.received: dict[str, list[Any]] = {}
+        self.sent = 0  # odometry messages
         self._clients: dict[str, Any] = {}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.odometry = self.node.create_publisher(Odometry, "odom", 10)
@@ -59,8 +61,8 @@ class Peer:
         self.node.create_subscription(kind, topic, messages.append, qos)
         return messages
 
-    def spin(self, seconds: float) -> None:
-        """Take messages for a time."""
+    def pause(self, seconds: float) -> None:
+        """Take messages for a time, between two messages of the test's own."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.01)
@@ -71,6 +73,23 @@ class Peer:
         while not condition():
             assert time.monotonic() < end, f"not within {timeout:g} s: {what}"
             self._executor.spin_once(timeout_sec=0.02)
+
+    def until_quiet(self, messages: list[Any], seconds: float = 0.5) -> None:
+        """Wait until none has been added to a list of messages for a time [s]."""
+        count, since = len(messages), time.monotonic()
+
+        def quiet() -> bool:
+            nonlocal count, since
+            if len(messages) != count:
+                count, since = len(messages), time.monotonic()
+            return time.monotonic() - since > seconds
+
+        self.until(quiet, f"{seconds:g} s without a message")
+
+    def until_sent(self, count: int) -> None:
+        """Wait until so many more odometry messages have been sent."""
+        last = self.sent + count
+        self.until(lambda: self.sent >= last, f"{count} odometry messages")
 
     def until_matched(self, *publishers: Any) -> None:
         """Wait until every publisher has a subscriber."""
@@ -143,6 +162,7 @@ class Peer:
             else:
                 setattr(message.pose.pose.position, name, value)
         self.odometry.publish(message)
+        self.sent += 1
 
     def send_path(self, name: str = "line", frame: str = "odom") -> PathMessage:
         """Publish a named path and return the message."""
@@ -180,6 +200,11 @@ def is_zero(command: TwistStamped) -> bool:
     return command.twist.linear.x == 0.0 and command.twist.angular.z == 0.0
 
 
+def ends_with_stop(commands: list[TwistStamped]) -> bool:
+    """Return whether the last three commands tell the robot to stop."""
+    return len(commands) >= 3 and all(map(is_zero, commands[-3:]))
+
+
 class Drive:
     """A controller that follows a line, fed with odometry at rest by the test."""
 
@@ -210,10 +235,12 @@ class Drive:
 
     def until_stopped(self) -> None:
         """Wait for three zero commands in a row."""
-        self.peer.until(
-            lambda: len(self.commands) >= 3 and all(map(is_zero, self.commands[-3:])),
-            "zero velocity",
-        )
+        self.peer.until(lambda: ends_with_stop(self.commands), "zero velocity")
+
+    def until_commands(self, count: int) -> None:
+        """Wait for so many more commands."""
+        last = len(self.commands) + count
+        self.peer.until(lambda: len(self.commands) >= last, f"{count} commands")
 
     def until_diagnosed(self, text: str, level: bytes = b"\x02") -> None:
         """Wait for a diagnostic message of a level, ERROR by default, that contains a text."""

@@ -26,10 +26,10 @@ def change(peer, transition: int) -> bool:
     return bool(peer.call(ChangeState, "path_follower/change_state", request).success)
 
 
-def stands(drive: Drive, seconds: float = 1.0) -> bool:
-    """Return whether the robot is told nothing but to stop for a time."""
+def stands(drive: Drive, messages: int = 50) -> bool:
+    """Return whether nothing but stops answers so many odometry messages."""
     drive.commands.clear()
-    drive.peer.spin(seconds)
+    drive.peer.until_sent(messages)
     return all(map(is_zero, drive.commands))
 
 
@@ -73,7 +73,7 @@ def test_no_command_is_made_of_odometry_older_than_the_timeout(peer, start):
 
     peer.odometry.publish = noted
     drive.odometry = {"later": -0.4}
-    peer.spin(0.3)
+    peer.until_sent(15)
     drive.until_moving()
     drive.commands.clear()
     drive.odometry = None
@@ -89,11 +89,11 @@ def test_a_speed_limit_that_cannot_hold_stops_the_robot_until_one_can(drive):
         limit.publish(Float64(data=value))
         drive.until_stopped()
         drive.until_diagnosed("speed limit rejected: setting 'speed_limit' is")
-        assert stands(drive, 0.3)
+        assert stands(drive, messages=15)
         limit.publish(Float64(data=0.4))
         drive.until_moving()
-    drive.commands.clear()
-    drive.peer.spin(0.3)
+    drive.until_moving()
+    drive.until_commands(30)
     assert max(command.twist.linear.x for command in drive.commands) <= 0.4
 
 
@@ -140,10 +140,10 @@ def test_clients_cannot_end_the_controller(drive):
 
 def test_a_stop_of_an_inactive_controller_says_nothing(drive):
     assert change(drive.peer, Transition.TRANSITION_DEACTIVATE)
-    drive.peer.spin(0.3)
+    drive.peer.until_quiet(drive.commands, 0.3)
     drive.commands.clear()
     assert drive.peer.call(Trigger, "path_follower/stop").success
-    drive.peer.spin(0.3)
+    drive.peer.until_quiet(drive.commands, 0.3)
     assert not drive.commands
 
 
@@ -178,11 +178,10 @@ def test_a_transition_that_fails_stops_the_robot_and_ends_the_node(
             peer.until(lambda: commands and not is_zero(commands[-1]), "motion")
             assert not change(peer, Transition.TRANSITION_DEACTIVATE)
         peer.until(lambda: node.poll() is not None, "the end of the node")
-    peer.spin(0.3)
+    peer.until(lambda: all(map(is_zero, commands[-3:])), "zero velocity, if any was told before")
     assert node.returncode == 1
     assert f"{transition} failed, stopping: RuntimeError: a defect" in log.read_text()
     assert "Traceback" not in log.read_text()
-    assert all(map(is_zero, commands[-3:]))
 
 
 TALKATIVE = """

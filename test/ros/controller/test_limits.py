@@ -52,7 +52,7 @@ def test_a_run_with_limits_stops_and_other_paths_keeps_them_and_replays(peer, st
     assert peer.set_parameter("path_publisher", "path", "circle:0.4").successful
     drive_on()
     assert peer.call(Trigger, "path_follower/stop").success
-    peer.spin(0.3)
+    peer.until(lambda: commands[-1].twist.linear.x == 0.0, "the stop")
     assert peer.call(Trigger, "path_follower/resume").success
     drive_on()
     limit.publish(Float64(data=math.inf))

@@ -17,7 +17,8 @@ from std_srvs.srv import Trigger
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import setting_fields
 from adp_path_follower.ros.runtime.parameters import descriptor
-from live_nodes import Drive, Peer, is_zero, running_script
+from adp_path_follower.study.demo.processes import NodeProcess
+from live_nodes import TIMEOUT, Drive, Peer, ends_with_stop, is_zero, running_script
 
 pytestmark = pytest.mark.nodes
 
@@ -56,10 +57,7 @@ def test_refuses_a_parameter_file_that_is_none(start, tmp_path):
 def test_says_stop_three_times_before_it_goes(drive, number):
     seen = len(drive.commands)
     assert drive.controller.stop(number) == 0
-    drive.peer.spin(0.5)
-    last = drive.commands[seen:][-3:]
-    assert len(last) == 3
-    assert all(map(is_zero, last))
+    drive.peer.until(lambda: ends_with_stop(drive.commands[seen:]), "the last words")
 
 
 def _takes_signals(process_id: int) -> bool:
@@ -71,12 +69,12 @@ def _takes_signals(process_id: int) -> bool:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("delay", [0.0, 0.2, 0.5])
-def test_a_signal_while_starting_leaves_no_traceback(start, peer, number, delay):
+def test_a_signal_while_starting_leaves_no_traceback(domain, peer, tmp_path, number, delay):
     # Before that, while Python starts itself, no program has a say in what is printed.
-    node = start("controller")
+    node = NodeProcess("controller", {}, log=tmp_path / "controller.log", domain=domain)
     peer.until(lambda: _takes_signals(node.process.pid), "the handlers")
-    peer.spin(delay)
-    node.stop(number)
+    peer.pause(delay)
+    node.stop(number, timeout=TIMEOUT)
     assert "Traceback" not in node.output()
 
 
@@ -85,10 +83,8 @@ def test_starts_with_zero_velocity(peer, start):
     start("controller")
     peer.until(lambda: len(commands) >= 3, "zero velocities at the start")
     assert all(map(is_zero, commands))
-    peer.spin(1.0)
-    count = len(commands)
-    peer.spin(0.5)
-    assert len(commands) == count  # then it leaves the robot to others
+    peer.until_quiet(commands)  # then it leaves the robot to others
+    assert all(map(is_zero, commands))
 
 
 def test_commands_come_at_the_set_rate(peer, start):
@@ -184,7 +180,7 @@ def test_parameters_change_while_driving_or_are_refused(drive):
         assert reason in result.reason
     drive.until_moving()
     assert peer.set_parameter("path_follower", "max_linear_vel", 0.25).successful
-    peer.spin(0.2)
+    peer.until(lambda: drive.commands[-1].twist.linear.x <= 0.25, "a slower robot")
     drive.commands.clear()
     drive.until_moving()
     assert max(command.twist.linear.x for command in drive.commands) <= 0.25
@@ -227,17 +223,14 @@ def test_lifecycle_without_autostart(peer, start):
     peer.send_path()
     peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
     peer.until(lambda: "new path" in node.output(), "the path")
-    peer.spin(0.5)
+    peer.until_sent(25)
     assert _state(peer) == "inactive"
     assert not commands
     assert _change(peer, Transition.TRANSITION_ACTIVATE)
     peer.until(lambda: any(not is_zero(command) for command in commands), "commands to move")
     assert _change(peer, Transition.TRANSITION_DEACTIVATE)
-    peer.spin(0.3)
-    assert all(map(is_zero, commands[-3:]))
-    count = len(commands)
-    peer.spin(0.5)
-    assert len(commands) == count  # inactive: not a word
+    peer.until_quiet(commands)  # inactive: not a word
+    assert ends_with_stop(commands)
     assert _change(peer, Transition.TRANSITION_CLEANUP)
     assert _change(peer, Transition.TRANSITION_CONFIGURE)
     assert _change(peer, Transition.TRANSITION_ACTIVATE)
@@ -246,8 +239,7 @@ def test_lifecycle_without_autostart(peer, start):
     peer.until(lambda: any(not is_zero(command) for command in commands), "commands to move")
     assert _change(peer, Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert node.process.wait(30.0) == 0
-    peer.spin(0.2)
-    assert all(map(is_zero, commands[-3:]))
+    peer.until(lambda: ends_with_stop(commands), "the last words")
 
 
 @pytest.mark.parametrize("stamped", [True, False])
@@ -259,9 +251,12 @@ def test_the_end_of_an_open_path_is_a_goal(peer, start, tmp_path, stamped):
     start("sim_unicycle")
     start("path_publisher", path=str(file))
     peer.until(lambda: "goal reached" in node.output(), "the goal")
-    peer.spin(0.3)
-    last = [command.twist if stamped else command for command in commands[-3:]]
-    assert all(twist.linear.x == twist.angular.z == 0.0 for twist in last)
+
+    def at_rest() -> bool:
+        last = [command.twist if stamped else command for command in commands[-3:]]
+        return all(twist.linear.x == twist.angular.z == 0.0 for twist in last)
+
+    peer.until(at_rest, "zero velocity")
 
 
 def test_descriptors_come_from_the_settings():
@@ -299,10 +294,9 @@ def test_an_exception_in_a_callback_stops_the_robot_first(peer, domain, tmp_path
         peer.send_path()
         peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
         peer.until(lambda: process.poll() is not None, "the end of the node")
-    peer.spin(0.5)
+    peer.until(lambda: ends_with_stop(commands), "zero velocity")
     text = log.read_text()
     assert process.returncode == 1
     assert "unexpected error, stopping: RuntimeError: a defect" in text
     assert "Traceback" not in text
     assert any(not is_zero(command) for command in commands)
-    assert all(map(is_zero, commands[-3:]))

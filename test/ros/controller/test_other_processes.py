@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -90,7 +89,8 @@ def test_the_robot_drives_on_and_can_be_stopped_when_those_who_listen_stall_or_d
                 os.kill(pid, number)
                 team.until_moving()
             # Every buffer of those who do not take their messages is full by now, or gone.
-            team.peer.spin(1.0)
+            count = len(team.commands)
+            team.peer.until(lambda n=count: len(team.commands) > n + 100, "a hundred commands")
             assert team.peer.call(Trigger, "path_follower/stop").success
             team.until_told_to_stop()
             team.until_at_rest()
@@ -142,6 +142,6 @@ def test_a_controller_that_was_started_to_outlive_its_parent_does(peer, domain, 
     with launched(peer, domain, tmp_path / "launched.log", wrapper) as (drive, launcher, pid):
         launcher.kill()
         launcher.wait()
-        time.sleep(0.5)
+        drive.until_commands(50)  # meanwhile it has looked at its parent several times
         drive.until_moving()
         assert is_running(pid)

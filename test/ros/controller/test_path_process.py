@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
 
 from adp_path_follower.core.errors import AdpError, PathError
@@ -124,9 +125,15 @@ def test_a_machine_with_no_process_left_prepares_paths_all_the_same(monkeypatch)
         assert fitting.route(EIGHT, (), PathSettings()).closed
 
 
-def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd):
+def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd, monkeypatch):
     """It says nothing: nobody needs a path any more."""
-    ended = []
+    ended, receive, waits = [], path_process._receive, threading.Event()
+
+    def noted(*arguments):
+        waits.set()
+        return receive(*arguments)
+
+    monkeypatch.setattr(path_process, "_receive", noted)
 
     def ask() -> None:
         with pytest.raises(SystemExit):
@@ -137,7 +144,7 @@ def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd):
         os.kill(fitting.pid, signal.SIGSTOP)  # so that it does not answer before it is told
         asking = threading.Thread(target=ask)
         asking.start()
-        time.sleep(0.1)
+        assert waits.wait(30.0)
     asking.join()
     assert ended
     assert capfd.readouterr().err == ""
@@ -149,7 +156,7 @@ from adp_path_follower.ros.controller import path_process
 from adp_path_follower.ros.controller import process as controller_process
 from adp_path_follower.ros.controller.node import PathFollowerNode
 
-gone = threading.Event()
+gone, got = threading.Event(), threading.Event()
 route, destroy = path_process.FittingProcess.route, PathFollowerNode.destroy_node
 
 
@@ -158,13 +165,15 @@ def late(self, *request):
     gone.wait()
     found = route(self, *request)
     print("got the route", flush=True)
+    got.set()
     return found
 
 
 def destroy_first(self):
     destroy(self)
     gone.set()
-    time.sleep(2.0)
+    assert got.wait(30.0)
+    time.sleep(0.5)  # the thread goes on with it
 
 
 path_process.FittingProcess.route, PathFollowerNode.destroy_node = late, destroy_first
@@ -217,7 +226,8 @@ def test_a_path_that_the_process_is_killed_at_is_refused_and_the_next_is_not(dri
     (fitting,) = children(drive.controller.process.pid)
     os.kill(fitting, signal.SIGSTOP)  # so that it is at the path when it is killed
     drive.peer.send_path("circle:0.5")
-    drive.peer.spin(0.5)
+    assert drive.peer.path.wait_for_all_acked(Duration(seconds=30))
+    drive.until_commands(50)
     os.kill(fitting, signal.SIGKILL)
     drive.until_diagnosed("path rejected: path cannot be prepared: the process at work on it has")
     drive.until_moving()  # along the path before
@@ -230,7 +240,8 @@ def test_a_process_that_is_stopped_hinders_neither_a_cleanup_nor_the_end(drive):
     (fitting,) = children(drive.controller.process.pid)
     os.kill(fitting, signal.SIGSTOP)
     drive.peer.send_path("circle:0.5")
-    drive.peer.spin(0.5)
+    assert drive.peer.path.wait_for_all_acked(Duration(seconds=30))
+    drive.until_commands(50)
     for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
         request = ChangeState.Request(transition=Transition(id=transition))
         assert drive.peer.call(ChangeState, "path_follower/change_state", request).success

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from adp_path_follower.ros.controller.commands import Commands
-from live_nodes import Drive, Peer, is_zero, running_script
+from live_nodes import Drive, Peer, ends_with_stop, is_zero, running_script
 
 pytestmark = pytest.mark.nodes
 
@@ -27,10 +28,8 @@ pytestmark = pytest.mark.nodes
 def silent_after_stop(drive: Drive) -> bool:
     """Return whether the robot is told to stop, and then left to others."""
     drive.until_stopped()
-    drive.peer.spin(1.0)
-    count = len(drive.commands)
-    drive.peer.spin(0.5)
-    return len(drive.commands) == count and all(map(is_zero, drive.commands[-3:]))
+    drive.peer.until_quiet(drive.commands)
+    return ends_with_stop(drive.commands)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +61,6 @@ def test_odometry_that_stays_wrong_stops_the_robot_until_it_is_right(drive, brok
 def test_one_message_that_cannot_be_is_a_stop_and_the_robot_goes_on(drive, broken, cause):
     seen = len(drive.commands)
     drive.odometry = None
-    drive.peer.spin(0.1)
     drive.peer.send_odometry((0.0, 0.1, 0.0), **broken)
     drive.until_diagnosed(cause)
     drive.peer.until(lambda: any(map(is_zero, drive.commands[seen:])), "a stop")
@@ -93,14 +91,19 @@ def test_too_far_from_the_path_is_a_stop_until_resume(drive):
     assert silent_after_stop(drive)
     drive.until_diagnosed("above max_cross_track_error 0.05")
     # Still too far: it stops again.
+    drive.commands.clear()
     peer.call(Trigger, "path_follower/resume")
-    peer.spin(0.5)
     assert silent_after_stop(drive)
     drive.odometry = {"y": 0.02}
-    peer.spin(0.5)
+    peer.until_sent(25)
     assert silent_after_stop(drive)
     peer.call(Trigger, "path_follower/resume")
     drive.until_moving()
+
+
+def stamp(command: TwistStamped) -> float:
+    """Return the stamp of a command [s]."""
+    return command.header.stamp.sec + 1e-9 * command.header.stamp.nanosec
 
 
 class SimulatedTime:
@@ -124,8 +127,10 @@ class SimulatedTime:
     @contextmanager
     def set_to(self, time: float) -> Iterator[None]:
         """Set the clock back and send no odometry meanwhile: by either time some would be wrong."""
-        self.odometry = False
-        self._peer.spin(0.2)
+        self.odometry, last = False, self.time
+        commands = self._peer.received["cmd_vel"]
+        # A command that is later has seen the last odometry.
+        self._peer.until(lambda: stamp(commands[-1]) > last + 0.1, "a later command")
         self.time = time
         yield
         self.odometry = True
@@ -170,7 +175,7 @@ works, calls = getattr(OWNER, NAME), []
 def hanging(*arguments, **named):
     calls.append(None)
     if len(calls) == 50:
-        time.sleep(3.0)
+        open({gate!r}).read()
     return works(*arguments, **named)
 
 setattr(OWNER, NAME, hanging)
@@ -184,14 +189,17 @@ sys.exit(process.main())
 )
 def test_a_node_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_path, owner, name):
     commands = peer.listen(TwistStamped, "cmd_vel")
-    log = tmp_path / "hanging.log"
-    with running_script(HANGING_CONTROLLER.format(owner=owner, name=name), domain, log):
+    gate, log = tmp_path / "gate", tmp_path / "hanging.log"
+    os.mkfifo(gate)
+    text = HANGING_CONTROLLER.format(owner=owner, name=name, gate=str(gate))
+    with running_script(text, domain, log):
         peer.until_matched(peer.odometry, peer.path)
         peer.send_path()
         peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
         peer.until(lambda: commands and not is_zero(commands[-1]), "motion")
         peer.until(lambda: is_zero(commands[-1]), "zero velocity while it hangs")
         assert "fault: no" not in log.read_text()  # it hangs still, and cannot say so
+        gate.write_text("go on")
         peer.until(lambda: "fault: no" in log.read_text(), "its end")
         commands.clear()
         peer.until(lambda: commands and not is_zero(commands[-1]), "motion again")
@@ -203,14 +211,14 @@ def test_a_stop_is_said_ten_times_however_long_that_was_kept_waiting(peer):
     commands = Commands(node, stamped=True, lossless=False, timeout=lambda: 60.0)
     peer.until(lambda: node.count_subscribers("cmd_vel"), "the listener")
     peer.until(lambda: commands.repeat_stop() or heard, "the first words to it")
-    peer.spin(0.7)
+    peer.until_quiet(heard, 0.2)
     heard.clear()
     commands.stop()
     time.sleep(0.7)  # longer than a stop is repeated
     for _ in range(30):
         commands.repeat_stop()
     peer.until(lambda: len(heard) >= 11, "ten repetitions")
-    peer.spin(0.3)
+    peer.until_quiet(heard, 0.3)
     assert len(heard) == 11
     assert all(map(is_zero, heard))
     commands.destroy()
@@ -233,8 +241,8 @@ def test_status_is_known_at_once_to_those_who_come_late(drive):
     assert last()["remedy"] == "call ~/resume"
     now = 1e-9 * drive.peer.node.get_clock().now().nanoseconds
     assert now - 30.0 < float(last()["since [s]"]) <= now
-    count = len(found)
-    drive.peer.spin(1.5)  # /diagnostics comes meanwhile
+    count, diagnosed = len(found), len(drive.diagnostics)
+    drive.peer.until(lambda: len(drive.diagnostics) > diagnosed + 1, "/diagnostics, twice")
     assert len(found) == count
     drive.controller.stop()
     drive.peer.until(lambda: last()["state"] == "inactive", "the last words")
@@ -254,7 +262,7 @@ def test_turned_too_far_from_the_path_is_a_stop_until_resume(drive):
     assert silent_after_stop(drive)
     drive.until_diagnosed("above max_heading_error 0.3")
     drive.odometry = {}
-    drive.peer.spin(0.3)
+    drive.peer.until_sent(15)
     drive.peer.call(Trigger, "path_follower/resume")
     drive.until_moving()
 
@@ -266,10 +274,7 @@ def test_a_lifecycle_transition_stops_the_robot_first(drive, transition):
     seen = len(drive.commands)
     request = ChangeState.Request(transition=Transition(id=transition))
     assert drive.peer.call(ChangeState, "path_follower/change_state", request).success
-    drive.peer.spin(0.5)
-    last = drive.commands[seen:][-3:]
-    assert len(last) == 3
-    assert all(map(is_zero, last))
+    drive.peer.until(lambda: ends_with_stop(drive.commands[seen:]), "zero velocity")
     process = drive.controller.process
     if transition == Transition.TRANSITION_ACTIVE_SHUTDOWN:
         drive.peer.until(lambda: process.poll() is not None, "the end of the node")

@@ -83,7 +83,7 @@ def test_a_controller_tells_of_as_many_steps_as_it_is_told_to(peer, start):
     assert len(periods) == len(set(periods)) >= 10  # each once
     drive.until_moving()
     assert peer.set_parameter("path_follower", "debug_rate", math.inf).successful
-    peer.spin(0.3)
+    peer.until(lambda: max(np.diff(stamps(errors)[-3:])) < 50_000_000, "three steps in a row")
     for messages in (poses, errors):
         messages.clear()
     peer.until(lambda: len(errors) >= 50, "every step")

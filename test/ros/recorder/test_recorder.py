@@ -116,7 +116,7 @@ def test_a_late_publisher_that_offers_less_is_recorded(peer, start, tmp_path):
     peer.until(second.get_subscription_count, "a subscription that takes best effort")
     for _ in range(20):
         second.publish(String(data="best effort"))
-        peer.spin(0.02)
+        peer.pause(0.02)
     recorder.stop()
     with AnyReader([tmp_path / "bag"]) as reader:
         raw = [bytes(raw) for _, _, raw in reader.messages()]
@@ -134,7 +134,7 @@ def test_a_signal_loses_nothing(peer, start, tmp_path, number):
     for index in range(3000):
         numbers.publish(Float64(data=float(index)))
         if index % 100 == 0:
-            peer.spin(0.02)
+            peer.pause(0.02)
     assert recorder.stop(number) == 0
     with AnyReader([bag]) as reader:
         values = [reader.deserialize(raw, c.msgtype).data for c, _, raw in reader.messages()]

@@ -31,13 +31,16 @@ UNLIMITED = {
     "max_angular_vel": math.inf,
 }
 STARTS = np.array(OPTIMUM["forty_starts"]["e0"])[:3]
+DURATION = 15.0  # [s] of the 30 s of the reference: what is left then costs nothing
 
 
 @pytest.fixture(scope="module")
 def found():
     """Return three quick controllers from three starts on a circle."""
     names = ["adp", "lqr", "lapierre_soetanto"]
-    return compare(build(Settings, UNLIMITED), "circle:1.0", circle(1.0), STARTS, names)
+    return compare(
+        build(Settings, UNLIMITED), "circle:1.0", circle(1.0), STARTS, names, duration=DURATION
+    )
 
 
 def test_optima_are_those_of_the_reference(found):
@@ -55,6 +58,7 @@ def test_costs_are_those_of_a_simulation_of_the_same_controller(found):
             item.settings,
             circle(1.0),
             STARTS,
+            duration=DURATION,
             learning=item.learning,
             controller=item.factory,
             rate=item.rate,
@@ -100,7 +104,13 @@ def test_the_distance_from_the_path_is_that_to_its_nearest_place(monkeypatch):
     item = Contender("standing", build(Settings, UNLIMITED), Standing, "frozen", rate=20.0)
     monkeypatch.setattr(comparison, "contenders", lambda settings, names: [item])
     result = compare(
-        build(Settings, UNLIMITED), "line", named_path("line"), np.array([[0.0, 2.0, 0.0]]), ["x"]
+        build(Settings, UNLIMITED),
+        "line",
+        named_path("line"),
+        np.array([[0.0, 2.0, 0.0]]),
+        ["x"],
+        duration=5.0,
+        start_arc_length=80.0,  # a lap of the 20 m that are left
     )
     (outcome,) = result.outcomes
     assert outcome.failed.all()  # two metres from the path at the end
@@ -138,7 +148,7 @@ def test_the_command_writes_table_numbers_and_figures(tmp_path):
         [
             *(sys.executable, "-m", "adp_path_follower.cli.main", "compare", "--unlimited"),
             *("--path", "circle:1.0", "--start", "-0.5", "0.25", "-0.5", "--out", "out"),
-            *("--controllers", "adp,lqr"),
+            *("--controllers", "adp,lqr", "--duration", "10"),
         ],
         capture_output=True,
         text=True,
@@ -172,6 +182,7 @@ def test_a_start_that_is_none_does_not_keep_the_others_from_running(tmp_path):
     starts = ["--start", "nan", "0", "0", "--start", "0.1", "0.1", "0.1"]
     done = adp(
         *("compare", "--path", "circle:1.0", *starts, "--controllers", "lqr", "--out", "out"),
+        *("--duration", "10"),
         cwd=tmp_path,
     )
     assert done.returncode == 1

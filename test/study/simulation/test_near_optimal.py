@@ -66,8 +66,11 @@ def test_forty_starts_before_the_sharpest_bend_know_what_comes():
     assert ratio.min() > 1.0 - 1e-4
 
 
-def test_a_lap_costs_no_more_than_its_share_of_ten_minutes():
-    """1e-4 between 60 s and 600 s is what is promised; a lap is 262 s, with all its bends."""
+def test_a_quarter_of_a_lap_costs_no_more_than_its_share_of_ten_minutes():
+    """1e-4 between 60 s and 600 s is what is promised; a quarter has as much of every bend.
+
+    bench/endurance/lap.py drives a whole lap after 60 s.
+    """
     path, followers, costs = named_path("lissajous"), [], {}
 
     def make(*arguments):
@@ -77,9 +80,11 @@ def test_a_lap_costs_no_more_than_its_share_of_ten_minutes():
     def note(runs, time, pose, output):
         costs[round(time, 2)] = float(followers[0].cost[0])
 
-    lap = path.length / 0.5
-    simulate(build(Settings, UNLIMITED), path, duration=60.0 + lap, controller=make, observe=note)
-    assert 0.0 < max(costs.values()) - costs[60.0] < 1e-4 * lap / 540.0
+    quarter = 0.25 * path.length / 0.5
+    simulate(
+        build(Settings, UNLIMITED), path, duration=30.0 + quarter, controller=make, observe=note
+    )
+    assert 0.0 < max(costs.values()) - costs[30.0] < 1e-4 * quarter / 540.0
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from pathlib import Path as FilePath
 
 import pytest
 
+from commands import adp
 from folders import CONFIG
 
 optuna = pytest.importorskip("optuna", reason="the extra 'sweep' is not installed")
@@ -209,7 +210,7 @@ def test_the_same_seed_tries_the_same(tmp_path):
         folder = tmp_path / str(len(gains))
         folder.mkdir()
         study, _ = tuned(
-            folder, f"settings: {{target_gain: own}}\ntrials: 14\nat_once: 3\nseed: {seed}"
+            folder, f"settings: {{target_gain: own}}\ntrials: 12\nat_once: 3\nseed: {seed}"
         )
         gains.append([trial.params["target_gain"] for trial in tried(study)])
     assert gains[0] == gains[1] != gains[2]
@@ -291,22 +292,21 @@ def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, text):
     assert "\n" not in str(refusal.value)
 
 
-def adp(*arguments: str | FilePath) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "adp_path_follower.cli.main", *map(str, arguments)],
+def test_the_command_tunes_and_goes_on(tmp_path, scheduler):
+    file, out = tmp_path / "tune.yaml", tmp_path / "out"
+    file.write_text(QUICK + "settings: {target_gain: {low: 0.05, high: 1.0, log: true}}\ntrials: 3")
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "adp_path_follower.cli.main", "tune", str(file)),
+            *("--out", str(out), "--workers", "1"),
+        ],
         capture_output=True,
         text=True,
         timeout=240,
     )
-
-
-def test_the_command_tunes_and_goes_on(tmp_path):
-    file, out = tmp_path / "tune.yaml", tmp_path / "out"
-    file.write_text(QUICK + "settings: {target_gain: {low: 0.05, high: 1.0, log: true}}\ntrials: 3")
-    done = adp("tune", file, "--out", out, "--workers", "1")
     assert done.returncode == 0, done.stderr
     assert "3 settings tried for cost, on 1 runs each" in done.stdout
-    again = adp("tune", file, "--out", out, "--workers", "1", "--trials", "4")
+    again = adp("tune", str(file), "--out", str(out), "--scheduler", scheduler, "--trials", "4")
     assert again.returncode == 0, again.stderr
     assert "3 of 4 trials are there already" in again.stderr
     found = json.loads((out / "findings.json").read_text())
@@ -314,7 +314,7 @@ def test_the_command_tunes_and_goes_on(tmp_path):
     loaded = load_settings(Settings, "path_follower", out / "best.yaml")
     assert loaded.target.target_gain == found["best"]["settings"]["target_gain"]
     file.write_text(QUICK + "settings: {target_gain: {low: 0.05, high: 2.0, log: true}}\ntrials: 3")
-    other = adp("tune", file, "--out", out)
+    other = adp("tune", str(file), "--out", str(out))
     assert (other.returncode, other.stdout) == (2, "")
     assert "is of another tune, which differs in varied" in other.stderr
 
@@ -329,7 +329,7 @@ def test_the_command_tunes_and_goes_on(tmp_path):
 def test_a_database_that_cannot_be_used_is_named(tmp_path, arguments, words):
     file = tmp_path / "tune.yaml"
     file.write_text(QUICK + "settings: {target_gain: own}")
-    done = adp("tune", file, "--out", tmp_path / "out", *arguments)
+    done = adp("tune", str(file), "--out", str(tmp_path / "out"), *arguments)
     assert done.returncode == 2
     assert words in done.stderr
     assert done.stderr.count("\n") == 1
@@ -338,6 +338,6 @@ def test_a_database_that_cannot_be_used_is_named(tmp_path, arguments, words):
 def test_options_and_a_file_do_not_mix(tmp_path):
     file = tmp_path / "tune.yaml"
     file.write_text(QUICK)
-    done = adp("tune", file, "--params", PAPER, "--out", tmp_path / "out")
+    done = adp("tune", str(file), "--params", str(PAPER), "--out", str(tmp_path / "out"))
     assert done.returncode == 2
     assert "are for a search without TUNE.yaml" in done.stderr
