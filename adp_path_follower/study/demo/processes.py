@@ -76,9 +76,7 @@ class NodeProcess:
             for name, value in parameters.items()
             for part in ("-p", f"{name}:={yaml_text(value)}")
         ]
-        self.process = self._started(
-            [executable, "--ros-args", *settings, *arguments], environment
-        )
+        self.process = self._started([executable, "--ros-args", *settings, *arguments], environment)
 
     def _started(
         self, arguments: list[str], environment: dict[str, str]
