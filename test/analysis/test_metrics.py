@@ -168,7 +168,7 @@ def test_many_paths_hide_no_fault(tmp_path, monkeypatch):
     monkeypatch.setattr(events, "MOST_EVENTS", 60)  # so that a tenth of the paths are too many
     ahead = [(0.1 * index, 0.0) for index in range(3)]
     paths = [
-        ("/path", SECOND + index * 40_000_000, path_message([*ahead, (1.0 + 0.01 * index, 0.0)]))
+        ("/path", SECOND + index * 41_000_000, path_message([*ahead, (1.0 + 0.01 * index, 0.0)]))
         for index in range(125)
     ]
     found = analysed(tmp_path, sorted([*learner_run(), *paths], key=lambda item: item[1]))
