@@ -14,7 +14,8 @@ from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Diagnostic, Run
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.nearest import Projection, project
+from adp_path_follower.core.path.drive import project
+from adp_path_follower.core.path.nearest import Projection
 from adp_path_follower.core.path.route import Route, Segment
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import parse_configuration

@@ -15,8 +15,8 @@ from adp_path_follower.analysis import events
 from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
 from adp_path_follower.analysis.metrics import METRICS, approach
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.library import lissajous
-from adp_path_follower.core.path.nearest import project
 from adp_path_follower.drawing.decimation import extremes
 from bag_messages import (
     LINE,

@@ -6,7 +6,6 @@ the other. A search near the last place stays on its branch.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,13 +18,6 @@ _LEAST_SLOPE = 0.1  # of Newton's method, which has none at the centre of the pa
 
 _REACH = 1.0  # [m] to either side of the last place
 _SPACING = 0.1  # [m] of the candidates there
-
-_DRIVE_REACH = 0.5  # [m] of path that is searched beyond how far the robot drove
-_DRIVE_STRIDE = 0.5  # [m] that the robot drives while one stretch of path is searched
-_DRIVE_SPACING = 0.02  # [m] of the candidates
-_MOST_POSES = 1000  # searched at once
-_JUMP = 1.0  # [m] between two poses: not driven, so the whole path is searched again
-_PIECE = 20_000  # poses refined at once: all of a long drive would take hundreds of MB
 
 
 @dataclass(frozen=True)
@@ -78,7 +70,7 @@ def place_near(path: Path, poses: FloatArray, last: FloatArray) -> FloatArray:
     """
     count = round(_REACH / _SPACING)
     candidates = np.asarray(last)[..., None] + np.linspace(-_REACH, _REACH, 2 * count + 1)
-    return beside(path, poses, _nearest(path, poses, candidates), 0.5 * _SPACING).arc_length
+    return beside(path, poses, nearest_of(path, poses, candidates), 0.5 * _SPACING).arc_length
 
 
 def beside(
@@ -103,42 +95,7 @@ def beside(
     return Projection(np.asarray(arc_length), error[..., 1], error[..., 2])
 
 
-def project(path: Path, poses: FloatArray) -> Projection:
-    """Return the places of a path nearest to the poses of a drive, each near the one before.
-
-    The whole path is searched only at the start, and where the robot was put elsewhere.
-
-    Args:
-        path: The path.
-        poses: x [m], y [m], theta [rad] in order of time, shape (N, 3).
-
-    """
-    arc_length = np.zeros(len(poses))
-    steps = np.linalg.norm(np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]), axis=1)
-    driven = np.cumsum(steps)
-    jumps = np.flatnonzero(steps > _JUMP)
-    start, place = 0, 0.0
-    while start < len(poses):
-        if start == 0 or steps[start] > _JUMP:
-            place = float(best_place(path, poses[start])[0])
-        stop = int(np.searchsorted(driven, driven[start] + _DRIVE_STRIDE, side="right"))
-        next_jump = jumps[np.searchsorted(jumps, start, side="right") :][:1]
-        stop = min(max(stop, start + 1), start + _MOST_POSES, *next_jump.tolist(), len(poses))
-        reach = _DRIVE_REACH + min(_JUMP, steps[start]) + driven[stop - 1] - driven[start]
-        count = math.ceil(reach / _DRIVE_SPACING)
-        candidates = place + np.linspace(-reach, reach, 2 * count + 1)
-        arc_length[start:stop] = _nearest(path, poses[start:stop], candidates)
-        place, start = float(arc_length[stop - 1]), stop
-    pieces = [slice(at, at + _PIECE) for at in range(0, max(len(poses), 1), _PIECE)]
-    found = [beside(path, poses[rows], arc_length[rows], _DRIVE_SPACING) for rows in pieces]
-    return Projection(
-        np.concatenate([part.arc_length for part in found]),
-        np.concatenate([part.cross_track for part in found]),
-        np.concatenate([part.heading for part in found]),
-    )
-
-
-def _nearest(path: Path, poses: FloatArray, candidates: FloatArray) -> FloatArray:
+def nearest_of(path: Path, poses: FloatArray, candidates: FloatArray) -> FloatArray:
     """Return the nearest of K candidates [m], shape (K,) or (..., K), to each pose, shape (...)."""
     points = path.frame(candidates).pose[..., :2]
     squared = ((poses[..., None, :2] - points) ** 2).sum(axis=-1)

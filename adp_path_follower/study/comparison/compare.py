@@ -13,7 +13,7 @@ from adp_path_follower import criteria
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.nearest import project
+from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.speed_profile import speed_varies
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.comparison.controllers import Contender, contenders

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.library import circle, lissajous, named_path
-from adp_path_follower.core.path.nearest import beside, best_place, place_near, project
+from adp_path_follower.core.path.nearest import beside, best_place, place_near
 
 EIGHT, WAVE = lissajous(), np.linspace(0.0, 12.0, 400)
 PATHS = {

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.library import named_path
-from adp_path_follower.core.path.nearest import project
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build

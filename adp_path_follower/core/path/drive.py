@@ -1,0 +1,224 @@
+"""The places on a path along a whole drive, by the least total error.
+
+A path may cross itself, run lap upon lap, or lie in narrow lanes: one pose does not tell its place.
+Of all sequences of places the drive has the one with the least sum of squared distances, in which
+the place moves on about as far as the robot does. Dynamic programming over the places of least
+distance finds it; between two anchors of the drive the nearest place near both is taken.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.nearest import Projection, beside, nearest_of
+
+_STRIDE = 0.25  # [m] that the robot drives from one anchor to the next
+_COARSE = 0.1  # [m] of the places that are compared, on a path that is long enough
+_MOST_CANDIDATES = 256  # of an anchor
+_MARGIN = 1.5  # [m] of distance beyond the least: candidates farther away are left out
+_HEADING = 0.2  # [m²] that a heading error of 90 degrees costs
+_SLACK, _STRETCH = 0.3, 1.6  # [m], and times the robot's way: how far a place may move on freely
+_JUMP_COST = 20.0  # [m²] of a place that moves on without the robot
+_BACKWARDS = 0.2  # [m] of cost a metre that a place moves back
+_EARLY = 0.02  # [m²] for beginning at the end of the path instead of its start
+_LEAST_JUMP = 1.0  # [m] between two poses, and ...
+_MANY_STEPS = 5.0  # ... times a usual step: not driven, so the place may be anywhere
+_SPACING = 0.02  # [m] of the places that are compared between anchors
+_PIECE = 20_000  # poses refined at once: all of a long drive would take hundreds of MB
+_MOST_POSES = 1000  # between two anchors
+_BLOCK = 2_000_000  # distances computed at once
+
+
+@dataclass(frozen=True)
+class _Anchors:
+    """Poses of a drive that are assigned to the path as a whole.
+
+    Attributes:
+        index: Number of each in the drive, shape (A,).
+        way: Distance from the anchor before [m], shape (A,).
+        carried: Whether the robot was put elsewhere since the anchor before, shape (A,).
+
+    """
+
+    index: np.ndarray
+    way: FloatArray
+    carried: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Places that one anchor may have.
+
+    Attributes:
+        arc_length: Shape (K,) [m], on a closed path within the first lap.
+        cost: Squared distance and heading error, shape (K,) [m²].
+
+    """
+
+    arc_length: FloatArray
+    cost: FloatArray
+
+
+def project(path: Path, poses: FloatArray) -> Projection:
+    """Return the places of a path along a drive.
+
+    Beyond the ends of an open path the distance is that to the end.
+
+    Args:
+        path: The path.
+        poses: x [m], y [m], theta [rad] in order of time, shape (N, 3).
+
+    """
+    if not len(poses):
+        return Projection(np.zeros(0), np.zeros(0), np.zeros(0))
+    anchors = _anchors(poses)
+    places = _assigned(path, poses, anchors)
+    arc_length = _between(path, poses, anchors, places)
+    pieces = [slice(at, at + _PIECE) for at in range(0, len(poses), _PIECE)]
+    found = [_exact(path, poses[rows], arc_length[rows]) for rows in pieces]
+    return Projection(
+        np.concatenate([part.arc_length for part in found]),
+        np.concatenate([part.cross_track for part in found]),
+        np.concatenate([part.heading for part in found]),
+    )
+
+
+def _exact(path: Path, poses: FloatArray, arc_length: FloatArray) -> Projection:
+    """Return the exact places, and beyond an end the distance to the end."""
+    found = beside(path, poses, arc_length, _SPACING)
+    if path.closed:
+        return found
+    inside = np.clip(found.arc_length, 0.0, path.length)
+    away = path.frame(inside).pose[:, :2] - poses[:, :2]
+    beyond = inside != found.arc_length
+    side = np.copysign(np.hypot(*away.T), found.cross_track)
+    return Projection(inside, np.where(beyond, side, found.cross_track), found.heading)
+
+
+def _anchors(poses: FloatArray) -> _Anchors:
+    """Return anchors about every 0.25 m, and about every jump."""
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T)
+    moving = steps[steps > 0.01 * _STRIDE]
+    usual = float(np.median(moving)) if len(moving) else 0.0
+    jumps = np.flatnonzero(steps > max(_LEAST_JUMP, _MANY_STEPS * usual))
+    bins = np.floor(np.cumsum(steps) / _STRIDE)
+    chosen = np.flatnonzero(np.diff(bins, prepend=-1.0))
+    crowded = np.arange(0, len(poses), _MOST_POSES)
+    index = np.unique(np.concatenate([chosen, crowded, jumps, np.maximum(jumps - 1, 0)]))
+    chords = np.diff(poses[index, :2], axis=0, prepend=poses[index[:1], :2])
+    carried = np.zeros(len(index), dtype=bool)
+    carried[np.searchsorted(index, jumps)] = True
+    return _Anchors(index, np.hypot(*chords.T), carried)
+
+
+def _assigned(path: Path, poses: FloatArray, anchors: _Anchors) -> FloatArray:
+    """Return the place of each anchor [m], shape (A,); it goes on over the laps."""
+    found = _candidates(path, poses[anchors.index])
+    total = found[0].cost + _EARLY * found[0].arc_length / path.length
+    sources: list[np.ndarray] = []
+    for number in range(1, len(found)):
+        moved = _moved(path, found[number - 1].arc_length, found[number].arc_length)
+        free = bool(anchors.carried[number])
+        costs = total[:, None] + _moving_cost(moved, float(anchors.way[number]), free)
+        source = np.argmin(costs, axis=0)
+        sources.append(source)
+        total = costs[source, np.arange(len(source))] + found[number].cost
+    best = int(np.argmin(total))
+    chain = [best]
+    for source in reversed(sources):
+        best = int(source[best])
+        chain.append(best)
+    chain.reverse()
+    places = np.array([part.arc_length[at] for part, at in zip(found, chain, strict=True)])
+    if not path.closed:
+        return places
+    steps = np.diff(places)
+    return places[0] + np.concatenate([[0.0], np.cumsum(_shortest(steps, path.length))])
+
+
+def _candidates(path: Path, poses: FloatArray) -> list[_Candidates]:
+    """Return the places of least distance for each of poses (A, 3)."""
+    samples = path.samples
+    spacing = path.length / (len(samples.arc_length) - 1)
+    thinned = np.arange(0, len(samples.arc_length), max(1, math.floor(_COARSE / spacing)))
+    if not path.closed and thinned[-1] != len(samples.arc_length) - 1:
+        thinned = np.append(thinned, len(samples.arc_length) - 1)
+    if path.closed and thinned[-1] == len(samples.arc_length) - 1:
+        thinned = thinned[:-1]
+    x, y = samples.x[thinned], samples.y[thinned]
+    found = []
+    rows = max(1, _BLOCK // len(thinned))
+    for first in range(0, len(poses), rows):
+        part = poses[first : first + rows]
+        squared = (x - part[:, :1]) ** 2 + (y - part[:, 1:2]) ** 2
+        beyond = (squared[:, -1:], squared[:, :1]) if path.closed else (np.inf, np.inf)
+        padded = np.pad(squared, ((0, 0), (1, 1)), constant_values=np.inf)
+        if path.closed:
+            padded[:, :1], padded[:, -1:] = beyond
+        least = (squared < padded[:, :-2]) & (squared <= padded[:, 2:])
+        least[np.arange(len(part)), np.argmin(squared, axis=1)] = True
+        for pose, row, chosen in zip(part, squared, least, strict=True):
+            found.append(_near_enough(path, pose, row, thinned[chosen], np.flatnonzero(chosen)))
+    return found
+
+
+def _near_enough(
+    path: Path, pose: FloatArray, squared: FloatArray, index: np.ndarray, column: np.ndarray
+) -> _Candidates:
+    """Return the candidates of one pose that are not much farther away than the nearest."""
+    distance = np.sqrt(squared[column])
+    order = np.argsort(distance, kind="stable")[:_MOST_CANDIDATES]
+    order = np.sort(order[distance[order] <= distance.min() + _MARGIN])
+    samples, index = path.samples, index[order]
+    # At the foot of the perpendicular: coarse places differ by up to half their spacing.
+    dx, dy = pose[0] - samples.x[index], pose[1] - samples.y[index]
+    along = samples.cos[index] * dx + samples.sin[index] * dy
+    spacing = _COARSE if path.length > _COARSE else path.length
+    shift = np.clip(along, -spacing, spacing)
+    rest = dx * dx + dy * dy - along * along + (along - shift) ** 2
+    arc_length = samples.arc_length[index] + shift
+    if not path.closed:
+        arc_length = np.clip(arc_length, 0.0, path.length)
+    agreement = samples.cos[index] * math.cos(pose[2]) + samples.sin[index] * math.sin(pose[2])
+    return _Candidates(arc_length, np.maximum(rest, 0.0) + _HEADING * (1.0 - agreement))
+
+
+def _moved(path: Path, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return how far each place is from each earlier one [m], shape (K before, K after)."""
+    moved = after[None, :] - before[:, None]
+    return _shortest(moved, path.length) if path.closed else moved
+
+
+def _shortest(moved: FloatArray, lap: float) -> FloatArray:
+    return np.asarray(moved - lap * np.round(moved / lap))
+
+
+def _moving_cost(moved: FloatArray, way: float, free: bool) -> FloatArray:
+    """Return the cost of places that move [m], any shape, while the robot drives its way [m]."""
+    backwards = _BACKWARDS * np.maximum(-moved, 0.0)
+    if free:  # the nearest lap is as likely as any, and better for no other reason
+        return np.asarray(0.001 * np.abs(moved))
+    excess = np.maximum(np.abs(moved) - _SLACK - _STRETCH * way, 0.0)
+    return np.asarray(np.minimum(backwards + _JUMP_COST * excess, _JUMP_COST))
+
+
+def _between(path: Path, poses: FloatArray, anchors: _Anchors, places: FloatArray) -> FloatArray:
+    """Return the nearest place [m] about the anchors' places for each pose, shape (N,)."""
+    arc_length = np.empty(len(poses))
+    stops = np.append(anchors.index[1:], len(poses))
+    ahead, ways = np.append(places[1:], places[-1]), np.append(anchors.way[1:], 0.0)
+    for start, stop, here, there, way in zip(
+        anchors.index, stops, places, ahead, ways, strict=True
+    ):
+        low, high = min(here, there), max(here, there)
+        if high - low > _SLACK + _STRETCH * way:  # it jumps after these poses
+            low = high = here
+        count = max(2, math.ceil((high - low + 2.0 * _SLACK) / _SPACING) + 1)
+        candidates = np.linspace(low - _SLACK, high + _SLACK, count)
+        arc_length[start:stop] = nearest_of(path, poses[start:stop], candidates)
+    return arc_length
