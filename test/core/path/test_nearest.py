@@ -1,4 +1,4 @@
-"""The nearest place on a path: on the whole of it, near the last one, and along a drive."""
+"""The nearest place on a path: on the whole of it, and near the last one."""
 
 import math
 
@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.library import circle, lissajous, named_path
 from adp_path_follower.core.path.nearest import beside, best_place, place_near
 
@@ -109,21 +108,3 @@ def test_the_place_near_the_last_is_the_least_distance_within_reach(name):
         least = minimize_scalar(distance, bounds=bounds, method="bounded")
         found = place_near(path, pose, last)
         assert distance(found) <= least.fun + 1e-9
-
-
-def test_a_drive_stays_on_its_branch_over_the_laps(figure_eight):
-    places = np.arange(0.5, 2.2 * figure_eight.length, 0.03)
-    drive = project(figure_eight, figure_eight.frame(places).pose)
-    laps = np.round((drive.arc_length - places)[0] / figure_eight.length)
-    assert drive.arc_length == pytest.approx(places + laps * figure_eight.length, abs=1e-8)
-
-
-def test_a_robot_that_was_put_elsewhere_is_searched_on_the_whole_path(figure_eight):
-    places = np.concatenate([np.arange(1.0, 3.0, 0.02), np.arange(30.0, 32.0, 0.02)])
-    found = project(figure_eight, figure_eight.frame(places).pose)
-    assert found.arc_length == pytest.approx(places, abs=1e-8)
-
-
-def test_a_drive_without_poses_has_no_places(figure_eight):
-    found = project(figure_eight, np.zeros((0, 3)))
-    assert len(found.arc_length) == len(found.cross_track) == len(found.heading) == 0

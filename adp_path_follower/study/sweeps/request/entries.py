@@ -26,7 +26,7 @@ def read_entries(file: FilePath) -> Entries:
     """
     content = read_yaml(file)
     if not isinstance(content, Mapping):
-        raise SettingsError(f"file {file} must hold NAME: VALUE entries (docs/sweeps.md)")
+        raise SettingsError(f"file {file} must hold NAME: VALUE entries (adp docs sweeps)")
     return {str(name): value for name, value in content.items()}
 
 
