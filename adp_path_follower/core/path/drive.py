@@ -138,7 +138,8 @@ def _assigned(path: Path, poses: FloatArray, anchors: _Anchors) -> FloatArray:
     if not path.closed:
         return places
     steps = np.diff(places)
-    return places[0] + np.concatenate([[0.0], np.cumsum(_shortest(steps, path.length))])
+    ahead = np.cumsum(_shortest(steps, path.length))
+    return np.asarray(places[0] + np.concatenate([[0.0], ahead]))
 
 
 def _candidates(path: Path, poses: FloatArray) -> list[_Candidates]:
