@@ -35,7 +35,7 @@ def transient(duration: float) -> float:
     Steady errors count from then on.
 
     Args:
-        duration: Of the run [s].
+        duration: Duration of the run [s].
 
     """
     return min(TRANSIENT, TRANSIENT_SHARE * duration)

@@ -20,19 +20,19 @@ from adp_path_follower.drawing.charts import Charts
 
 @dataclass(frozen=True)
 class BagAnalysis:
-    """What is said of a bag.
+    """The analysis of one bag.
 
     Attributes:
         name: Name of the bag.
         metrics: Name -> value, NaN where the bag does not tell.
         states: State of the controller -> time in it [s].
-        charts: What the figures show.
-        events: What happened.
-        events_left_out: What of it is not among the events, as a sentence, empty if nothing is.
+        charts: Data of the figures.
+        events: Events of the run.
+        events_left_out: The events that were left out, as a sentence, empty if nothing is.
         settings: Name -> value as text; empty where the bag does not say.
         topics: Topic -> number of messages.
-        used: What a topic was read as -> the topic.
-        notes: What could not be used, in sentences.
+        used: The role of a topic -> the topic.
+        notes: Sentences about data that could not be used.
 
     """
 
@@ -118,7 +118,7 @@ def analyse_bag(
         bags: How many bags share the figures.
         trajectory: File for the trajectory, as the tool evo reads it; None writes none.
         progress: Called with the fraction done.
-        title: What the bag is called; by default, the name of its directory or file.
+        title: Name of the bag; by default, that of its directory or file.
 
     Raises:
         FileError: The bag cannot be read, or holds no odometry or path.

@@ -28,7 +28,7 @@ CAPTIONS = {
         "Distance and angle to the nearest place of the path, positive to its left, from odometry "
         "and path alone.",
     ),
-    "commands": ("Commands", "What the robot was told."),
+    "commands": ("Commands", "Commands that the robot received."),
     "cost": ("Cost to date", "∫ eᵀQe + uᵀRu so far, as the controller counts it."),
     "weights": (
         "Critic and actor weights",

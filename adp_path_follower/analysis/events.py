@@ -1,4 +1,4 @@
-"""What happened during a run: state changes, faults, parameter changes."""
+"""Events of a run: state changes, faults, parameter changes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def events_of(drive: Drive) -> tuple[tuple[Event, ...], str]:
         Event(drive.seconds(item.time), "fault" if item.level >= _ERROR else "state", item.message)
         for item in states
     ]
-    # Of others, and of a state's new cause: only what is wrong.
+    # Other nodes, and a new cause of the same state, count only if something is wrong.
     events += [
         Event(
             drive.seconds(item.time),
@@ -53,8 +53,8 @@ def events_of(drive: Drive) -> tuple[tuple[Event, ...], str]:
 def thinned(events: Sequence[Event]) -> tuple[tuple[Event, ...], str]:
     """Return at most `MOST_EVENTS` of the events, and a note on how many of which kind are not.
 
-    What matters most is kept whole, and the first kind for which there is no room thinned evenly: a
-    planner that sends a path every second must not hide a fault.
+    The kinds that matter most are kept whole, and the first kind for which there is no room is
+    thinned evenly: a planner that sends a path every second must not hide a fault.
     """
     kept: list[int] = []
     left_out = []

@@ -50,7 +50,7 @@ _STEADY = (
 
 @dataclass(frozen=True)
 class Metric:
-    """What one number is.
+    """Describes one number.
 
     Attributes:
         name: In metrics.json and for --require.

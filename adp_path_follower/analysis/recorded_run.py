@@ -66,10 +66,10 @@ class Clock:
 
 @dataclass(frozen=True)
 class Drive:
-    """What the analysis of a bag goes by.
+    """The data that the analysis of a bag uses.
 
     Attributes:
-        run: What the bag holds.
+        run: Content of the bag.
         clock: Translates arrival into stamps.
         start: Stamp of the first odometry while the robot was told to move: time 0 [ns].
         end: Time at which it was last told to move [s].
@@ -83,7 +83,7 @@ class Drive:
             where the recorder's clock does not tell.
         learner: The topics of the learner and its target that are in the bag.
         settings: The controller's, where the bag says them.
-        notes: What could not be used, in sentences.
+        notes: Sentences about data that could not be used.
 
     """
 

@@ -24,12 +24,12 @@ class TopicDefinition:
     Attributes:
         name: The topic.
         type_name: Its message type.
-        schema_encoding: What the definition of the type is written in, as ros2msg.
+        schema_encoding: Language of the type's definition, such as ros2msg.
         schema: The definition.
         type_hash: Hash of the type (RIHS01), empty if it is not known.
         qos_profiles: QoS profiles of its publishers.
         message_encoding: How messages are serialised.
-        metadata: What the channel says beside.
+        metadata: Further metadata of the channel.
 
     """
 

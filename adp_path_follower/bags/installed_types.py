@@ -25,7 +25,7 @@ class UnknownTypeError(FileError):
 
 @dataclass(frozen=True)
 class TypeText:
-    """What a bag says of a message type.
+    """A message type as a bag describes it.
 
     Attributes:
         definition: The text of its .msg file, and behind it those of all types in it, as rosbag2

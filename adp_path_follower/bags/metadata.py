@@ -26,7 +26,7 @@ def bag_information(
     Args:
         files: Its files, in the order they were written.
         topics: Its topics with their numbers of messages.
-        custom_data: What shall be said beside the usual.
+        custom_data: Entries beside the usual ones.
 
     """
     return {

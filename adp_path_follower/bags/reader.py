@@ -51,13 +51,13 @@ _PLAIN = ("odom", "ground_truth", "cmd_vel", "path", "diagnostics")  # not under
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """What one node said in /diagnostics, where it differs from what it said before.
+    """A status of one node in /diagnostics that differs from the one before.
 
     Attributes:
         time: Arrival [ns].
         name: Who said it.
         level: 0 is fine, 1 a warning, 2 an error, 3 stale.
-        message: What was said.
+        message: Text of the status.
         state: State of the controller, empty from others.
 
     """
@@ -80,9 +80,9 @@ class Run:
             from the one before.
         configurations: Arrival [ns] and text (YAML) of what the controller said it runs with.
         message_counts: Topic -> number of messages, of every topic in the bag.
-        diagnostics: What changed in /diagnostics.
+        diagnostics: Changes in /diagnostics.
         topics: Key in `series` and "path" -> the topic that it was read from.
-        notes: What was passed over, in sentences.
+        notes: Sentences about data that were left out.
         initial_weights: Content of the weights file that the controller started from, empty
             without one.
 

@@ -75,7 +75,7 @@ class BagWriter:
 
         Args:
             directory: The bag: a directory that must not exist yet.
-            custom_data: What metadata.yaml shall say beside the usual.
+            custom_data: Entries of metadata.yaml beside the usual ones.
             chunked: Gather messages in chunks, with an index and checksums; those in the chunk that
                 is open are lost if the process is killed.
             compression: "none", or "zstd" for packed chunks.

@@ -48,9 +48,9 @@ def analyze(
 ) -> None:
     r"""Turn the bags of runs into one report.
 
-    A bag is what the recorder or `ros2 bag record` wrote: MCAP or sqlite3, split, compressed. Of
-    another controller's bag all but the learner's figures are drawn. Several bags are drawn over
-    each other and compared in a table.
+    A bag is what the recorder or `ros2 bag record` wrote: MCAP or sqlite3, split, compressed. A bag
+    of another controller has all figures but the learner's. Several bags are drawn over each other
+    and compared in a table.
 
     \b
     One run:            adp analyze my_bag

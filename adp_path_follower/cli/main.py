@@ -81,7 +81,7 @@ def adp(plugins: tuple[str, ...]) -> None:
     \b
     See it:          adp demo
     Try a setting:   adp simulate --params paper --set actor_gain=2
-    What is there:   adp parameters
+    All settings:    adp parameters
 
     Every command answers to --help.
     """

@@ -24,8 +24,8 @@ class HalfTurn:
     Attributes:
         a: Position error along the direction half way between path and robot [m].
         b: Position error across it [m].
-        cos: Of half the heading error.
-        sin: Likewise.
+        cos: Cosine of half the heading error.
+        sin: Sine of half the heading error.
 
     """
 
@@ -59,7 +59,7 @@ class HalfTurn:
 class Expansion:
     """sigma at states, and sigma' before the chain rule of the frame.
 
-    What is asked of sigma' at the robot are products with weights and with rates. Contracting
+    At the robot only products of sigma' with weights and with rates are needed. Contracting
     before the chain rule is applied to three or four numbers, not to L rows of them.
 
     Attributes:
@@ -107,7 +107,7 @@ def _fields(frame: HalfTurn) -> Numbers:
 
 
 class Basis(Protocol):
-    """What the learner asks of a basis."""
+    """The interface of a basis for the learner."""
 
     @property
     def labels(self) -> tuple[str, ...]:

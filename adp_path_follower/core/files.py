@@ -84,7 +84,7 @@ def write_whole(file: FilePath, content: bytes, unfinished: FilePath) -> None:
 
     Args:
         file: The file.
-        content: What it is to hold.
+        content: The expected content.
         unfinished: Where it is written first: beside the file, so that it can be renamed.
 
     Raises:

@@ -16,7 +16,7 @@ Number = FloatArray | float  # of shape (...), or the same for all
 def components(*parts: FloatArray) -> FloatArray:
     """Return arrays of one shape (...) side by side, shape (..., number of parts).
 
-    What `numpy.stack` does, in a third of its time where the arrays are a robot's few numbers.
+    Like `numpy.stack`, in a third of its time where the arrays are a robot's few numbers.
     """
     if isinstance(parts[0], float):
         return np.array(parts)
@@ -29,8 +29,8 @@ def components(*parts: FloatArray) -> FloatArray:
 def unpacked(array: FloatArray) -> tuple[FloatArray, ...]:
     """Return the components along the last axis of an array, each of shape (...).
 
-    Of a single vector they are numpy's scalars, which are several times faster to compute with
-    than the arrays without dimensions that indexing by an ellipsis gives.
+    The numbers of a single vector are numpy's scalars, which are several times faster to compute
+    with than the arrays without dimensions that indexing by an ellipsis gives.
     """
     return tuple(array[..., index][()] for index in range(array.shape[-1]))
 

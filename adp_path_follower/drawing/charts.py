@@ -36,7 +36,7 @@ class Panel:
     """Curves over one axis.
 
     Attributes:
-        label: Of the axis, with its unit.
+        label: Name of the axis, with its unit.
         lines: The curves.
         limits: Values that the curves may not leave.
         logarithmic: Whether the axis is.
@@ -64,7 +64,7 @@ class Track:
 
     Attributes:
         path: Positions along all paths, one after the other with a row of NaN between, (N, 2).
-        time: Of the points of the track [s], shape (T,).
+        time: Time of each point of the track [s], shape (T,).
         position: x, y, shape (T, 2).
         cross_track: Distance from the path with its sign [m], shape (T,).
         color_limit: Distance from which on all have one colour [m].

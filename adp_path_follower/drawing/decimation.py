@@ -10,8 +10,8 @@ from adp_path_follower.core.geometry import FloatArray
 def extremes(values: FloatArray, buckets: int) -> np.ndarray:
     """Return which values to keep so that a figure of them shows every peak.
 
-    Of each bucket of neighbouring values that are the least and the greatest; the first and the
-    last of all are kept as well. Values that are not finite are no peaks.
+    Each bucket of neighbouring values keeps its least and its greatest; the first and the last of
+    all are kept as well. Values that are not finite are no peaks.
 
     Args:
         values: Shape (N,).

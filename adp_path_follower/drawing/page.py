@@ -16,9 +16,9 @@ def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) 
 
     Args:
         file: Where to.
-        name: Of the templates; all pages share the style of the first.
-        data: What the script gets, figures above all.
-        content: What the template gets beside it.
+        name: Name of the templates; all pages share the style of the first.
+        data: Data for the script, figures above all.
+        content: Further values for the template.
 
     Raises:
         FileError: It cannot be written.

@@ -39,7 +39,7 @@ class ReferenceMotion:
 
 @dataclass(frozen=True)
 class RunView:
-    """What the figures show of a run.
+    """The data of one run that the figures show.
 
     Attributes:
         time: Time of each control step [s], shape (T,).

@@ -1,4 +1,4 @@
-"""What a controller says it runs with, as text in a bag: written by the node, read by analyses."""
+"""The configuration of a controller, as text in a bag: written by nodes, read by analyses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NO_STEP = -1
 
 @dataclass(frozen=True)
 class Configuration:
-    """What a controller runs with from some control step on.
+    """The configuration of a controller from some control step on.
 
     Attributes:
         values: Setting -> value, as far as the bag says.

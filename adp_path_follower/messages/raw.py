@@ -1,12 +1,12 @@
 """Read nav_msgs/Path and nav_msgs/Odometry out of their serialised bytes, and write what is sent.
 
-Of a path, a hundred thousand poses in milliseconds: those whose frame names are equally long lie at
-even distances, and are read in one step; others, which nobody sends, one after the other. Node and
+A path of a hundred thousand poses takes milliseconds: poses whose frame names are equally long lie
+at even distances, and are read in one step; others, which are rare, one after the other. Node and
 replay read paths by this module alike, so that they follow the same path to the last bit.
 
-Of odometry, which comes with every control step, the few numbers that count: to make a message of
-it, with two covariances that nobody asks for, takes rclpy ten times as long. What every control
-step sends is a header and a few numbers, and their bytes are written in a tenth of the time.
+Odometry comes with every control step, and only the few numbers that count are read: rclpy takes
+ten times as long to make a message with two unused covariances. Every control step sends a header and a
+few numbers, and their bytes are written in a tenth of the time.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _NANOSECONDS = 1_000_000_000
 
 @dataclass(frozen=True)
 class PathPoses:
-    """What a path message says.
+    """The content of a path message.
 
     Attributes:
         frame: Frame of the path.
@@ -63,7 +63,7 @@ def read_path(raw: bytes) -> PathPoses:
 
 
 class OdometryNumbers(NamedTuple):
-    """What an odometry message says of a robot in the plane.
+    """The motion of a robot in the plane, from an odometry message.
 
     Attributes:
         seconds: Stamp, whole seconds.

@@ -23,7 +23,7 @@ class MessageDefinition:
         self.is_ros = encoding in _ROS_ENCODINGS
         self.type_hash = ""
         self._store: Typestore | None = None
-        # Of other encodings, and of one that was not found when it was recorded, nothing is known.
+        # Nothing is known of other encodings, nor of a definition that the recorder did not find.
         self._is_foreign = encoding in _FOREIGN_ENCODINGS or not (encoding or data)
         if not self.is_ros or len(data) > _MOST_BYTES:
             return

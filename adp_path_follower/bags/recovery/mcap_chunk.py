@@ -19,7 +19,7 @@ _PIECE = 256 * 1024
 
 @dataclass(frozen=True)
 class Chunk:
-    """What a chunk record says of its content.
+    """The description of a chunk's content in its record.
 
     Attributes:
         size: Its size, unpacked.

@@ -56,7 +56,7 @@ class Record(NamedTuple):
 
     Attributes:
         offset: Where it begins.
-        opcode: What it is.
+        opcode: Kind of the record.
         length: The length of its body, as it says.
         body: The body; empty where nobody needs it, and cut off at the end of a torn file.
 
@@ -69,7 +69,7 @@ class Record(NamedTuple):
 
 
 class Judge(Protocol):
-    """What the walk must ask about the recording."""
+    """Questions of the walk about the recording."""
 
     def knows_channel(self, channel: int) -> bool:
         """Return whether the channel has been defined."""

@@ -1,4 +1,4 @@
-"""What the metadata.yaml of a torn bag still says, as far as it makes sense."""
+"""The entries in the metadata.yaml of a torn bag that still make sense."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _POLICIES: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class TornMetadata:
-    """What was known about a bag.
+    """Known metadata of a bag.
 
     Attributes:
         qos_profiles: Topic -> its QoS profiles.
         type_hashes: Topic -> the hash of its type.
-        custom_data: What the recorder added.
+        custom_data: Entries that the recorder added.
         kept: Entries that a copy of the bag shares with it.
 
     """

@@ -57,7 +57,7 @@ _SUMMARY_OPCODES = (
 
 @dataclass(frozen=True)
 class Recovery:
-    """What came out of a torn bag.
+    """The result of recovering a torn bag.
 
     Attributes:
         bag: The new bag.
@@ -80,9 +80,9 @@ def recover(
 ) -> Recovery:
     """Copy all messages that can be read into a new bag, with their bytes, times and schemas.
 
-    How unreadable stretches are found and passed is told at `RecordScanner.records`. What a chunk
-    holds is left as a whole if its checksum is wrong, as nobody can tell which message is meant;
-    of a chunk that is cut off, the whole messages are saved. Where there is no checksum (a file
+    How unreadable stretches are found and passed is told at `RecordScanner.records`. A chunk
+    with a wrong checksum is left as a whole, as nobody can tell which message is meant; a chunk
+    that is cut off gives its whole messages. Where there is no checksum (a file
     without chunks, a chunk that lost its beginning or its end), bits that changed within a message
     cannot be seen. Attachments are not copied. A record or unpacked chunk of more than 128 MiB is
     left, as memory is bounded.
@@ -93,7 +93,7 @@ def recover(
         progress: Takes the fraction done.
 
     Returns:
-        What was saved.
+        Messages that were saved.
 
     Raises:
         FileError: There is no such bag, it holds nothing to recover, or the new one exists or

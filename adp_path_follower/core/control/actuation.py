@@ -1,4 +1,4 @@
-"""What a robot has been told lately: its last command, and commands that are still under way."""
+"""The recent commands of a robot: the last one, and commands that are still under way."""
 
 from __future__ import annotations
 
@@ -143,8 +143,8 @@ def limited_command(
         wanted: [v, w] within the limits of velocity, shape (..., 2).
         previous: The last command, shape (..., 2).
         rate: How fast it was changing [m/s², rad/s²], shape (..., 2).
-        limits: Of velocity.
-        motion: Of acceleration and jerk.
+        limits: Limits of velocity.
+        motion: Limits of acceleration and jerk.
         dt: Time since the last command [s], above 0.
 
     """

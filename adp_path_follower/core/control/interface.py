@@ -1,4 +1,4 @@
-"""What every path-following controller here has in common: the virtual target and its error."""
+"""The interface of every path-following controller here."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from adp_path_follower.core.settings.groups import Settings
 
 @dataclass(frozen=True)
 class ControlOutput:
-    """What one control step gives; arrays have the leading axes of the pose.
+    """The result of one control step; arrays have the leading axes of the pose.
 
     Attributes:
         command: [v, w] to apply [m/s, rad/s], shape (..., 2).

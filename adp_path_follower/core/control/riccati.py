@@ -120,7 +120,7 @@ def _by_eigenvectors(
     residual = products[0] + products[0].swapaxes(-1, -2) - products[1] + state_cost
     size = np.abs(products[1]).max(axis=(1, 2)) + np.abs(state_cost).max()
     exact = np.abs(residual).max(axis=(1, 2)) <= _EXACT * size
-    # Of the solutions of the equation only the one whose closed loop decays is positive definite.
+    # The equation has several solutions; only one with a decaying closed loop is positive definite.
     exact &= np.isfinite(solutions).all(axis=(1, 2))
     exact[exact] &= np.linalg.eigvalsh(solutions[exact]).min(axis=1) > 0.0
     return solutions, exact

@@ -163,7 +163,7 @@ class Driver:
     def restart(self) -> bool:
         """Begin anew where the robot will be, which may have been carried; return if it had begun.
 
-        What was learned stays.
+        Learned weights stay.
         """
         if self._follower is None:
             return False
@@ -195,8 +195,8 @@ class Driver:
     def command_for(self, pose: FloatArray, time: int) -> FollowerOutput:
         """Return the command for a pose [x, y, theta] (3,) at a time [ns]; there must be a route.
 
-        Command, error and target pose are the robot's own, also in reverse. What the step teaches
-        waits for `learn`, so that the command can be sent before.
+        Command, error and target pose are the robot's own, also in reverse. Learning from
+        the step waits for `learn`, so that the command can be sent before.
 
         Raises:
             SettingsError: No policy can be found for these settings on this path.

@@ -56,7 +56,7 @@ class PathFollower:
             arc_length: Where the virtual target starts [m], one for each robot of a batch.
             weights: Where the one set of weights of scheduling: path_state starts; by default
                 the settings' initial weights.
-            actuation: What the robot has been told lately; by default it is at rest.
+            actuation: The robot's recent commands; by default it is at rest.
 
         """
         self.path = path

@@ -1,7 +1,7 @@
 """The places on a path along a whole drive, by the least total error.
 
 A path may cross itself, run lap upon lap, or lie in narrow lanes: one pose does not tell its place.
-Of all sequences of places the drive has the one with the least sum of squared distances, in which
+The drive has the sequence of places with the least sum of squared distances, in which
 the place moves on about as far as the robot does. Dynamic programming over the places of least
 distance finds it; between two anchors of the drive the nearest place near both is taken.
 """

@@ -21,7 +21,7 @@ _MOST_PREVIEW = 1000  # knots
 
 SCHEDULINGS = ("path_state", "arc_length")
 WIDE_REGIONS = ("none", "riccati", "approach")
-# Of `register_far_policy`; makes a policy of the settings.
+# Registered by `register_far_policy`; makes a policy of the settings.
 OWN_FAR_POLICIES: Registry[Callable[[Any], Any]] = Registry("far policy", WIDE_REGIONS)
 
 

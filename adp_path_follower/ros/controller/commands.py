@@ -78,7 +78,7 @@ class Commands:
     def repeat_stop(self) -> None:
         """Publish zero velocity again, if the last stop is not long ago."""
         if not self._heard and self._publisher.get_subscription_count():
-            # What was said before the robot listened is lost, so the first stop starts now.
+            # A command from before the robot listened is lost, so the first stop starts now.
             self._heard = True
             self._begin_stop()
         if steady.monotonic() < self._stop_until or self._stops_left > 0:

@@ -23,7 +23,7 @@ class PathInput:
     """Keeps what path is followed, and why the last one is not.
 
     Attributes:
-        followed: What is followed, None without a path.
+        followed: The path that is followed, None without one.
         problem: Why the last path was rejected, empty if it was not.
 
     """

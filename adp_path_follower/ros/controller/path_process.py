@@ -49,7 +49,7 @@ def route_of_message(raw: bytes, transform: tuple[float, ...], settings: PathSet
         raw: A serialised nav_msgs/Path.
         transform: x [m], y [m], turn [rad] of its frame in that of the route; empty if they are
             the same.
-        settings: What to prepare it with.
+        settings: Settings to prepare it with.
 
     Raises:
         AdpError: The path cannot be driven.

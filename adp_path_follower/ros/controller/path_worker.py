@@ -29,7 +29,7 @@ class PathRequest:
 
     Attributes:
         raw: A serialised nav_msgs/Path.
-        settings: What to prepare it with.
+        settings: Settings to prepare it with.
         odom_frame: Frame that it is needed in, empty while that is not known.
 
     """
@@ -44,7 +44,7 @@ class PathAnswer:
     """The outcome of a path request.
 
     Attributes:
-        request: What was asked.
+        request: The request.
         frame: Frame of the message.
         route: The route in the odometry's frame; None if it was rejected.
         transform: x [m], y [m], turn [rad] of the message's frame in the odometry's, empty if they

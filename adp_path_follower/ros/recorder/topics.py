@@ -38,7 +38,7 @@ def topic_patterns(
 
     Args:
         setting: Its name.
-        texts: What it lists.
+        texts: Names in the list.
         namespace: The namespace of the node.
         resolve: Takes a name and returns the full name, after remapping.
 

@@ -54,9 +54,9 @@ def declare_settings(node: Node, tree: type[Tree]) -> Tree:
 class LiveSettings(Generic[Tree]):
     """Parameters that change while a node runs: checked as a set, then taken over at once.
 
-    ROS asks first whether it may change some parameters, and tells when it has. What another
-    callback rejects in between must leave the node as it was, so the change is prepared when ROS
-    asks, and taken over when it tells.
+    ROS asks first whether it may change some parameters, and tells when it has. A change that
+    another callback rejects must leave the node as it was, so the change is prepared when ROS asks,
+    and taken over when it tells.
     """
 
     def __init__(

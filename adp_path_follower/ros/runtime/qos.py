@@ -26,7 +26,7 @@ def repeat_until_delivered(
 ) -> None:
     """Publish a message again, not for long, until all who listen have got it.
 
-    What a publisher has not delivered is lost when its node goes. Waiting alone may not do: Fast
+    An undelivered message is lost when its node goes. Waiting alone may not do: Fast
     DDS by itself asks only every 3 s what was lost.
 
     Args:

@@ -56,7 +56,7 @@ class Outcome:
     def quantile(self, share: float) -> float:
         """Return a quantile of J/J* over the starts with a known optimum; a failure is infinite.
 
-        Of the two starts beside it the worse one; NaN if there is no start with an optimum.
+        Between two starts the worse one counts; NaN if there is no start with an optimum.
         """
         ratio = np.where(self.failed, math.inf, self.cost_ratio)
         known = ratio[~np.isnan(ratio)]
@@ -84,7 +84,7 @@ class Comparison:
         starts: Initial errors, shape (B, 3).
         optimal_cost: J* of each start, shape (B,); NaN where no optimum was found.
         problems: Why, one sentence for each such start.
-        notes: What else there is to say about J*, in sentences.
+        notes: Further sentences about J*.
         outcomes: One for each controller.
 
     """

@@ -42,7 +42,7 @@ class Peer:
 
     Attributes:
         name: Name in tables and on the command line.
-        description: What it is, and where it is published.
+        description: Description, and where it is published.
         factory: Makes it from settings, path and the virtual targets' arc lengths (B,) [m].
         control_rate: Steps per second [Hz]; None for the simulation's.
 
@@ -148,7 +148,7 @@ def register_peer(
     Args:
         name: Letters, digits and _.
         factory: Makes it from settings, path and the virtual targets' arc lengths (B,) [m].
-        description: What it is, for `adp compare --list`.
+        description: Description for `adp compare --list`.
         control_rate: Steps per second [Hz]; None for the simulation's.
 
     Raises:
@@ -175,7 +175,7 @@ def register_peer(
     OWN_PEERS.register(name, Peer(name, description, factory, control_rate))
 
 
-# Of the numbers of one robot in `ControlOutput`.
+# Shapes of one robot's numbers in `ControlOutput`.
 _SHAPES: dict[str, tuple[int, ...]] = {
     "command": (2,),
     "modified_input": (2,),
@@ -199,7 +199,7 @@ class Contender:
 
     Attributes:
         name: As in `CONTROLLERS`.
-        settings: What it is made with.
+        settings: Settings of the controller.
         factory: Makes it.
         learning: How it starts: "cold" or "warm".
         rate: Control steps per second [Hz].

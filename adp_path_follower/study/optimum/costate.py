@@ -27,7 +27,7 @@ class Extremal:
 
     Attributes:
         cost: J.
-        costates: Of s, y, theta, s_p at the start, shape (4,): the gradient of the value there.
+        costates: Gradient of the value by s, y, theta, s_p at the start, shape (4,).
 
     """
 

@@ -51,7 +51,7 @@ def cost_over_horizon(
         time: Time of each control step since the first [s], shape (N,).
         poses: x, y, theta at each step, shape (N, 3).
         commands: [v, w] of each step, shape (N, 2).
-        arc_lengths: Of the virtual target at each step [m], shape (N,).
+        arc_lengths: Places of the virtual target at each step [m], shape (N,).
 
     Returns:
         J, NaN where the run is shorter than the horizon.

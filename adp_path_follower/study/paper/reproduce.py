@@ -46,7 +46,7 @@ class PaperRun:
 
     Attributes:
         name: The choice, in words.
-        settings: What it was run with.
+        settings: Settings of the run.
         cost: J over 40 s.
         state_distance: RMS distance of e to the optimum's over 40 s.
         input_distance: RMS distance of u to the optimum's over 40 s.
@@ -75,8 +75,8 @@ class Theorem:
         drift_bound: L_f, the largest |f(zeta)| / |zeta| over the visited states.
         excitation_time: Shape (T,) [s].
         excitation: Smallest singular value of the rank condition's matrix, shape (T,).
-        excitation_needed: What the second gain condition asks of it.
-        cost_needed: What the first gain condition asks of the least eigenvalue of Q.
+        excitation_needed: Bound that the second gain condition sets.
+        cost_needed: Bound of the first gain condition for the least eigenvalue of Q.
         least_state_cost: That eigenvalue, q_min.
 
     """

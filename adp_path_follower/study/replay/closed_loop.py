@@ -27,7 +27,7 @@ def rerun(
 
     Args:
         run: The run.
-        settings: What to drive it with; by default, what it was recorded with.
+        settings: Settings to drive it with; by default, the recorded ones.
         overlay: Setting -> value that it has all the time, whatever else changed during the run.
 
     Returns:

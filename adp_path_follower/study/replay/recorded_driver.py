@@ -58,7 +58,7 @@ class RecordedDriver:
 
         Args:
             run: The run.
-            settings: What replaces the recorded settings, None to keep them.
+            settings: Settings in place of the recorded ones, None to keep them.
             overlay: Setting -> value that it has all the time, whatever was recorded or is given.
 
         Raises:

@@ -39,14 +39,14 @@ class Steps:
 
 @dataclass(frozen=True)
 class Replay:
-    """What `PathFollower` makes of a run.
+    """The replay of a run by `PathFollower`.
 
     Attributes:
         follower: The follower after the run, of the last segment that was driven.
         settings: The settings after the run.
         steps: The control steps, N of them.
         recorded: The commands [v, w] in the bag, NaN where a step has none, shape (N, 2).
-        outputs: What the follower gave, one for each step.
+        outputs: Outputs of the follower, one for each step.
         cost: J at each step, shape (N,).
         configurations: Number of a step and what the controller would have said before it, of the
             first and of each that something changed before.
@@ -92,12 +92,12 @@ def replay(
 ) -> Replay:
     """Replay a run with the steps, the paths and the changes of parameters that it had.
 
-    A run of this package's controller holds the pose that each step went by. Of another one, or
-    with older bags, each odometry message is a step.
+    A run of this package's controller holds the pose that each step went by. With
+    another controller, or an older bag, each odometry message is a step.
 
     Args:
         run: The run.
-        settings: What to replay it with; by default, what it was recorded with.
+        settings: Settings to replay it with; by default, the recorded ones.
         overlay: Setting -> value that it has all the time, whatever else changed during the run.
 
     Raises:

@@ -20,7 +20,7 @@ class WeightDifference:
 
     Attributes:
         step: Number of the control step.
-        name: What differs most in it, as "critic weight s²".
+        name: Weight that differs most in it, as "critic weight s²".
         recorded: In the bag.
         replayed: In the replay.
 
@@ -40,7 +40,7 @@ class ComparedWeights:
         identical: For each recorded set whether it comes out the same to the last bit, those of the
             critic first, shape (N,); no rows where there is nothing to compare.
         first: The first difference, None without one.
-        notes: What was not compared, in sentences.
+        notes: Sentences about data that were not compared.
 
     """
 

@@ -127,7 +127,7 @@ def simulate(
         plant: Imperfections of the robot; an ideal one by default. Run number n of the starts has
             the seed of the plant plus n, whatever the controller and its rate.
         faults: How the imperfections change with time; what it says of messages has no effect.
-        controller: What makes the controller; `learning` matters to `PathFollower` only.
+        controller: Makes the controller; `learning` matters to `PathFollower` only.
         record: Keep trajectories, which takes 16 bytes for each weight of each step of each run.
         observe: Called at every control step, with which of the starts it is about.
         progress: Called now and then with the fraction that is done.

@@ -1,4 +1,4 @@
-"""What happened along simulated runs, step by step."""
+"""The course of simulated runs, step by step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from adp_path_follower.core.learning.weights import Weights
 
 @dataclass(frozen=True)
 class Trajectories:
-    """What happened at each of the T control steps of B runs.
+    """The course of B runs over T control steps.
 
     Attributes:
         time: Time since the start [s], shape (T,).
@@ -55,7 +55,7 @@ class TrajectoryRecorder:
         Args:
             first_run: Number of the first of them.
             step: Number of the step.
-            output: Of the controller, for n runs.
+            output: Output of the controller, for n runs.
             pose: Where they are, shape (n, 3).
 
         """

@@ -34,7 +34,7 @@ def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
     """Return the study of a tuning, made if it is not there.
 
     Args:
-        tuning: What is tuned; the study has its name.
+        tuning: The tuning; the study has its name.
         storage: Address of a database, as in "sqlite:///study.db" or "postgresql://...".
         shared: Whether other commands may work on the same study.
 
@@ -62,7 +62,7 @@ def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
         for trial in before:
             if not trial.state.is_finished():  # its command was killed
                 study.tell(trial.number, state=TrialState.FAIL)
-    # Of a study that goes on, or that others work on too, the same draws again would be lost work.
+    # A study that goes on, or that others work on too, must not draw the same again.
     seed = None if shared else tuning.search.seed + len(before)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # experimental features are said to be so

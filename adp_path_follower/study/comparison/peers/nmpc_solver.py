@@ -107,7 +107,7 @@ class HorizonSolver:
     from has the virtual target in that step.
 
     Attributes:
-        name: Of the fast solver.
+        name: Options of the fast solver.
 
     """
 

@@ -1,4 +1,4 @@
-"""What all peers share: the virtual target, whose error and cost they are measured by."""
+"""The base of all peers: the virtual target that gives their error and cost."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class PeerController(ABC):
         """Return the wanted command [v, w], shape (B, 2).
 
         Args:
-            pose: Of the robots, shape (B, 3).
+            pose: Poses of the robots, shape (B, 3).
             dt: Time since the last step [s].
-            frame: Of the path at the virtual targets.
+            frame: Frame of the path at the virtual targets.
             error: e = [s, y, theta] to the virtual targets, shape (B, 3).
 
         """

@@ -21,7 +21,7 @@ class StanleyGains:
 
     Attributes:
         position_gain: k [1/s], on the cross-track error.
-        wheelbase: Of the virtual bicycle whose rear axle is the robot's [m].
+        wheelbase: Wheelbase of the virtual bicycle whose rear axle is the robot's [m].
         max_steering: Greatest steering angle [rad].
         at_front_axle: Whether errors are taken at the front axle, or at the robot.
         curvature_feedforward: Whether the path's curvature is steered, too.

@@ -1,4 +1,4 @@
-"""What makes settings good: one number each over all runs with them."""
+"""Measures of good settings: one number each over all runs with them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Objective:
     Attributes:
         name: As files name it.
         meaning: In words.
-        unit: Of the number.
+        unit: Unit of the number.
         of: Returns it from the columns of all runs with the same settings.
 
     """

@@ -25,7 +25,7 @@ class Request:
 
     Attributes:
         conditions: Starts, paths, robots, noise; the settings before.
-        variations: What varies, in the order of the table's columns.
+        variations: Varied settings, in the order of the table's columns.
         objectives: Names of the numbers that are to be small; the first one ranks.
 
     """

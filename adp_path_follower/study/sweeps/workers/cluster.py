@@ -42,7 +42,7 @@ _RETRIES = 2  # of work that failed where it was done; a worker that dies is ano
 
 
 class Workers:
-    """What does work somewhere else."""
+    """Workers elsewhere."""
 
     def __init__(self, client: Client, check_interrupts: Callable[[], None]) -> None:
         """Take a connected client, and what raises interrupts that were noted."""
@@ -115,7 +115,7 @@ def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
     """Yield workers: those of a scheduler, or as many processes on this machine as it has cores.
 
     Args:
-        address: Of a Dask scheduler, as in "tcp://host:8786"; None for this machine.
+        address: Address of a Dask scheduler, as in "tcp://host:8786"; None for this machine.
         count: Number of processes on this machine.
 
     Raises:

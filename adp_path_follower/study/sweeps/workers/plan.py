@@ -20,8 +20,8 @@ class Part:
 
     Attributes:
         number: From 0.
-        batches: What is simulated, one after the other.
-        columns: What the runs share or vary beside what they measure: column name -> values, (N,).
+        batches: Runs that are simulated, one after the other.
+        columns: Values that the runs share or vary: column name -> values, (N,).
 
     """
 

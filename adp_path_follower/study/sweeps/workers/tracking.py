@@ -23,7 +23,7 @@ class Tracking:
     """How B runs kept to the path; places and angles are the true ones.
 
     Attributes:
-        cross_track_rms: Of the distance from the path after the transient [m], shape (B,).
+        cross_track_rms: RMS distance from the path after the transient [m], shape (B,).
         cross_track_max: Greatest distance then [m], shape (B,).
         settling_time: Until |e| to the virtual target stays below 0.05 [s], infinite where it does
             not, shape (B,).
