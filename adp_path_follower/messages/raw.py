@@ -5,8 +5,8 @@ at even distances, and are read in one step; others, which are rare, one after t
 replay read paths by this module alike, so that they follow the same path to the last bit.
 
 Odometry comes with every control step, and only the few numbers that count are read: rclpy takes
-ten times as long to make a message with two unused covariances. Every control step sends a header and a
-few numbers, and their bytes are written in a tenth of the time.
+ten times as long to make a message with two unused covariances. Every control step sends a header
+and a few numbers, and their bytes are written in a tenth of the time.
 """
 
 from __future__ import annotations
