@@ -184,7 +184,7 @@ def test_the_slider_moves_the_robot_and_every_line(pages, browser):
 def test_captions_speak_of_what_is_there(visits, name):
     text = visits(name).page.inner_text("main")
     learned = name != "foreign"
-    assert ("virtual target" in text) == learned
+    assert ("its virtual target" in text) == learned
     assert ("dashed lines are the limits" in text) == learned
     assert ("colour is the distance" in text) == (name != "two")
 
