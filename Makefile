@@ -18,7 +18,7 @@ demo: $(VENV)/ready  ## Drive the paper's figure eight with real ROS 2 nodes
 	$(BIN)/adp demo $(if $(OUT),--out $(OUT))
 
 test: $(VENV)/ready-test  ## Run all tests, those of real nodes too
-	$(BIN)/pytest -m "not nodes" -n auto --dist worksteal
+	$(BIN)/pytest -m "not nodes" -n auto --dist loadfile
 	$(BIN)/pytest -m nodes -n 3 --dist loadfile
 
 lint: $(VENV)/ready-lint  ## Check style and types

@@ -111,6 +111,7 @@ def test_results_say_in_one_line_what_was_found(tmp_path):
     assert all("\n" not in repr(item) for item in (optimum, compared, run, simulated))
 
 
+@pytest.mark.smoke
 def test_the_command_takes_parameters_by_name_as_by_file():
     by_name = command("parameters", "--params", "paper")
     by_file = command("parameters", "--params", str(CONFIG / "paper.yaml"))

@@ -93,6 +93,7 @@ def reported(tmp_path_factory) -> tuple[FilePath, Done]:
     return folder / "out", done
 
 
+@pytest.mark.smoke
 def test_a_missed_requirement_is_exit_code_1(reported):
     directory, done = reported
     assert done.returncode == 1, done.stderr

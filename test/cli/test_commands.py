@@ -23,6 +23,7 @@ OPTIMUM = json.loads((DATA / "optimum.json").read_text())
 PAPER = str(CONFIG / "paper.yaml")
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

@@ -72,6 +72,7 @@ def test_the_same_parameters_give_the_same_commands_and_weights(bag, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.smoke
 def test_other_parameters_give_a_bag_and_a_report(bag, tmp_path):
     table, figure, out = tmp_path / "both.csv", tmp_path / "both.png", tmp_path / "out"
     done = adp_replay(

@@ -222,6 +222,7 @@ def refused(done: Done | subprocess.CompletedProcess[str], words: str) -> None:
     assert done.stderr.startswith("adp: ")
 
 
+@pytest.mark.smoke
 def test_a_sweep_on_a_cluster_is_the_same(tmp_path, scheduler):
     file, out = tmp_path / "sweep.yaml", tmp_path / "out"
     file.write_text(SMALL)

@@ -144,6 +144,7 @@ def test_the_paper_runs_with_its_own_learner_on_the_same_problem():
     assert item.settings.learning.basis == "paper"
 
 
+@pytest.mark.smoke
 def test_the_command_writes_table_numbers_and_figures(tmp_path):
     done = subprocess.run(
         [

@@ -218,6 +218,7 @@ def _demo(folder: FilePath, *arguments: str, **environment: str) -> FilePath:
     return directory
 
 
+@pytest.mark.smoke
 def test_the_command_ends_at_the_goal(tmp_path):
     (tmp_path / "short.csv").write_text("x,y\n0,0\n1,0.1\n2,0\n")
     content = json.loads((_demo(tmp_path, "--path", "short.csv") / "summary.json").read_text())

@@ -120,7 +120,9 @@ def test_no_controller_is_better_than_the_optimum():
     optimum = solver(horizon=20.0)
     best = np.array([optimum.solve(start).cost for start in starts])
     costs = [
-        simulate(build(Settings, {**UNLIMITED, **assignments}), path, starts, duration=20.0).cost
+        simulate(
+            build(Settings, {**UNLIMITED, **assignments}), path, starts, duration=20.0, rate=50.0
+        ).cost
         for assignments in ({}, {"learning": False}, {"basis_degree": 3})
     ]
     assert len({cost.tobytes() for cost in costs}) == 3  # policies that differ
@@ -191,6 +193,7 @@ def test_the_mesh_follows_the_corners_of_a_path(tmp_path):
     assert solve_costates(optimum.problem, found.motion).cost == pytest.approx(found.cost, rel=1e-5)
 
 
+@pytest.mark.smoke
 def test_the_command_writes_what_it_found(tmp_path):
     done = adp(
         "optimum",

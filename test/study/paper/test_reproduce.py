@@ -17,6 +17,7 @@ def found() -> Reproduction:
     return reproduce(lambda fraction: None, long_duration=60.0)
 
 
+@pytest.mark.smoke
 def test_costs_of_the_printed_laws(found):
     # Fourth-order integration in continuous time, done before this program was written.
     known = [0.6285, 0.5882, 0.5967, 0.6163]
@@ -73,6 +74,7 @@ def test_the_drift_is_bounded_at_every_visited_state(found):
     assert found.theorem.drift_bound >= at_the_start * (1.0 - 1e-9)
 
 
+@pytest.mark.smoke
 def test_figures(found, tmp_path):
     files = draw_paper(found, tmp_path)
     assert {file.name for file in files} >= {"figure_2_path.png", "lyapunov.png", "long_run.png"}

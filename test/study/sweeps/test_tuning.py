@@ -292,6 +292,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, text):
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.smoke
 def test_the_command_tunes_and_goes_on(tmp_path, scheduler):
     file, out = tmp_path / "tune.yaml", tmp_path / "out"
     file.write_text(QUICK + "settings: {target_gain: {low: 0.05, high: 1.0, log: true}}\ntrials: 3")
