@@ -69,7 +69,6 @@ setup(
         "test": [
             "pytest>=7.4",
             "pytest-xdist>=3.3",
-            "pytest-rerunfailures>=14.0",
             "hypothesis>=6.90",
             "evo>=1.28",
             "mcap-ros2-support>=0.5",
