@@ -45,7 +45,7 @@ def main(duration: float = 30.0) -> None:
     """Compare the controller with two others, and start far away with the policy."""
     starts = [[0.0, 0.5, 0.0], [0.0, -0.5, 0.5]]
     controllers = ["adp", "lqr", "proportional"]
-    print(adp.compare("line", controllers=controllers, starts=starts, duration=duration))
+    print(adp.compare("circle:1.0", controllers=controllers, starts=starts, duration=duration))
     settings = adp.load_settings("default", wide_region="turn_first")
     print(adp.simulate("line", settings, starts=[0.0, 4.0, 2.0], duration=duration))
 

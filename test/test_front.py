@@ -99,12 +99,12 @@ def test_a_simulation_is_that_of_the_core(tmp_path):
 def test_results_say_in_one_line_what_was_found(tmp_path):
     pytest.importorskip("casadi", reason="J* needs CasADi")
     optimum = adp.optimum("line", start=START, horizon=15.0)
-    compared = adp.compare("line", controllers=["lqr"], starts=[START], duration=15.0)
+    compared = adp.compare("circle:1.0", controllers=["lqr"], starts=[START], duration=15.0)
     run = adp.analyze(write_bag(tmp_path / "bag", drive_on_line(lambda time: 0.02)))
     simulated = adp.simulate("line", starts=START, duration=1.0)
     assert repr(optimum).startswith(f"Optimum(J* {optimum.cost:.7g}, ")
     ratio = simulate_lqr_ratio = compared.outcomes[0].quantile(0.5)
-    assert repr(compared) == f"Comparison(line, 1 starts, median J/J*: lqr {ratio:.4f})"
+    assert repr(compared) == f"Comparison(circle:1.0, 1 starts, median J/J*: lqr {ratio:.4f})"
     assert simulate_lqr_ratio > 1.0
     assert "cross-track RMS 20.00 mm" in repr(run)
     assert repr(simulated).startswith(f"SimulationResult(1 run: J {simulated.cost[0]:.6g} ")

@@ -44,6 +44,7 @@ class _LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name == "docs":
+            _mark_examples(docs)
             return docs
         if cmd_name not in _COMMANDS:
             return None
@@ -96,7 +97,12 @@ def adp(plugins: tuple[str, ...]) -> None:
 @click.command()
 @click.argument("page", required=False)
 def docs(page: str | None) -> None:
-    """Print a page of the documentation; without PAGE, name the pages."""
+    r"""Print a page of the documentation; without PAGE, name the pages.
+
+    \b
+    One page:   adp docs safety
+    The names:  adp docs
+    """
     if page is None:
         click.echo("\n".join(docs_pages()))
     else:

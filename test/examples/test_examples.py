@@ -60,7 +60,7 @@ def test_own_basis():
 def test_own_controller():
     pytest.importorskip("casadi", reason="J* needs CasADi")
     comparison, far = run_example("own_controller.py", 15)
-    assert comparison.startswith("Comparison(line, 2 starts, median J/J*: adp 1.0")
+    assert comparison.startswith("Comparison(circle:1.0, 2 starts, median J/J*: adp 1.0")
     assert "proportional" in comparison
     assert "1 settled" in far
 

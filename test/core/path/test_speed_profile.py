@@ -121,7 +121,7 @@ def test_a_robot_that_keeps_to_it_keeps_every_limit(accel, decel, lateral, turn,
         max_angular_accel=turn_accel,
     )
     place = np.linspace(0.0, path.length, 20_001)
-    v, kappa = profile.speed(place), path.curvature(place)
+    v, kappa = np.broadcast_to(profile.speed(place), place.shape), path.curvature(place)
     along = np.diff(v**2) / (2.0 * np.diff(place))  # a = v dv/ds
     assert along.max() <= SHARE * accel * (1.0 + 1e-6) + 1e-9
     assert along.min() >= -SHARE * decel * (1.0 + 1e-6) - 1e-9
