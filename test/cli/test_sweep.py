@@ -40,7 +40,7 @@ settings:
   input_cost: [[1.0, 1.0], [1.0, 2.0], [2.0, 1.0]]
 starts: {{random: 40, box: [0.2, 0.2, 0.3]}}
 learning: frozen
-duration: 2.0
+duration: 1.0
 rate: 50.0
 """
 SMALL = f"""
@@ -84,7 +84,7 @@ def assert_same(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> 
         assert (same if plain else same | (wanted[name] != wanted[name])).all(), name
 
 
-def test_killed_worker_and_killed_command_cost_nothing_but_time(tmp_path):
+def test_killed_worker_and_killed_command_cost_nothing_but_time(tmp_path, scheduler):
     """A worker is killed after the first part, the command itself some parts later."""
     file, out = tmp_path / "sweep.yaml", tmp_path / "out"
     file.write_text(SWEEP)
@@ -116,12 +116,7 @@ def test_killed_worker_and_killed_command_cost_nothing_but_time(tmp_path):
     assert 1 < there < parts
     times = {part: part.stat().st_mtime_ns for part in (out / "runs").glob("part-*")}
 
-    again = subprocess.run(
-        command("sweep", file, "--out", out, "--workers", "2"),
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT,
-    )
+    again = adp("sweep", str(file), "--out", str(out), "--scheduler", scheduler)
     assert again.returncode == 0, again.stderr
     assert f"{120 * there:,} of 1,440 runs are there already" in again.stderr
     assert done() == parts
@@ -205,7 +200,7 @@ def check_what_was_written(file: FilePath, out: FilePath, found: dict[str, np.nd
 
 def check_refusals(file: FilePath, out: FilePath) -> None:
     """Another sweep, another version, a folder of something else."""
-    file.write_text(SWEEP.replace("duration: 2.0", "duration: 3.0"))
+    file.write_text(SWEEP.replace("duration: 1.0", "duration: 3.0"))
     refused(
         adp("sweep", str(file), "--out", str(out)), "is of another sweep, which differs in duration"
     )
