@@ -28,12 +28,20 @@ def tuning(paper):
 # --- the paper's run ----------------------------------------------------------------------------
 
 
-def test_cost_of_the_papers_run(paper, figure_eight):
-    """The three other choices of grid and learning are in paper/test_reproduce.py."""
-    values = {**paper, "sample_half_widths": (0.3, 0.3, 0.3, 0.3)}
-    result = simulate(build(Settings, values), figure_eight, duration=40.0, learning="cold")
+@pytest.mark.parametrize(
+    ("half_widths", "learning", "expected"),
+    [
+        ((1.0, 1.0, 1.0, 0.5), "cold", 0.5882),
+        ((0.5, 0.5, 0.5, 0.5), "cold", 0.5967),
+        ((0.3, 0.3, 0.3, 0.3), "cold", 0.6163),
+        ((1.0, 1.0, 1.0, 0.5), "frozen", 0.6285),
+    ],
+)
+def test_cost_of_the_papers_run(paper, figure_eight, half_widths, learning, expected):
+    values = {**paper, "sample_half_widths": half_widths}
+    result = simulate(build(Settings, values), figure_eight, duration=40.0, learning=learning)
     assert result.cost.shape == (1,)
-    assert float(result.cost[0]) == pytest.approx(0.6163, rel=5e-3)
+    assert float(result.cost[0]) == pytest.approx(expected, rel=5e-3)
     assert not result.failed.any()
     np.testing.assert_array_equal(result.starts, [PAPER_START])
 
