@@ -1,6 +1,7 @@
 """A control step keeps no memory that grows, and the policy takes nothing large."""
 
 import gc
+import math
 import sys
 import tracemalloc
 
@@ -15,6 +16,7 @@ from adp_path_follower.core.settings.schema import build
 
 PERIOD = 10_000_000  # [ns]
 LAP = 630  # steps
+ROUNDS = 4  # a line that needs memory needs it in each
 
 
 class Robot:
@@ -35,7 +37,7 @@ class Robot:
 
 def allocated_by_lines(robot, steps):
     """Return the most memory [B] that each line of the package takes at once, by its place."""
-    most = {}
+    most: dict = {}
     before = tracemalloc.get_traced_memory()[0]
     place = None
 
@@ -49,15 +51,19 @@ def allocated_by_lines(robot, steps):
         before = present
         return look
 
-    for _ in range(2):  # in the first round the table here grows, too
-        most.update(dict.fromkeys(most, 0))
+    rounds = []
+    for _ in range(ROUNDS):
+        most.update(dict.fromkeys(most, 0))  # not emptied: a table that grows takes memory, too
         place = None
         sys.settrace(look)
         try:
             robot.drive(steps)
         finally:
             sys.settrace(None)
-    return {place: size for place, size in most.items() if "adp_path_follower" in place[0]}
+        rounds.append({k: size for k, size in most.items() if "adp_path_follower" in k[0]})
+    # The rest of the process, such as another thread, is counted too, but not in every round.
+    lines = set().union(*rounds)
+    return {line: min(found.get(line, math.inf) for found in rounds) for line in lines}
 
 
 @pytest.fixture
