@@ -15,11 +15,9 @@ APPROACHED_LEAST = 0.01  # [m]
 
 
 def is_settled(error: FloatArray) -> np.ndarray:
-    """Return where |e| to the virtual target is below 0.05, shape (...).
+    """Return where |e| of e = [s, y, theta], shape (..., 3), is below 0.05, shape (...).
 
-    Args:
-        error: e = [s, y, theta], shape (..., 3); what is not finite has not settled.
-
+    Errors that are not finite have not settled.
     """
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", error, error)) < SETTLED)
 
@@ -30,13 +28,9 @@ def is_off_path(distance: FloatArray) -> np.ndarray:
 
 
 def transient(duration: float) -> float:
-    """Return how long the transient of a run takes [s]: 10 s, or a third of a shorter run.
+    """Return the transient [s] of a run's duration [s]: 10 s, or a third of a short run.
 
     Steady errors count from then on.
-
-    Args:
-        duration: Duration of the run [s].
-
     """
     return min(TRANSIENT, TRANSIENT_SHARE * duration)
 

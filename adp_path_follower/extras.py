@@ -48,12 +48,7 @@ def missing_text(subject: str, extra: str, *modules: str) -> str:
 
 
 def _imported(name: str, subject: str, extra: str) -> ModuleType:
-    """Return a module.
-
-    Raises:
-        AdpError: It is missing, or does not work here.
-
-    """
+    """Return a module; raise AdpError if it is missing, or does not work here."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

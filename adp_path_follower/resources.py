@@ -14,12 +14,7 @@ FORTY_STARTS = FilePath(__file__).parent / "data" / "forty_starts.csv"
 
 
 def config_file(name: str) -> FilePath:
-    """Return a file of the config folder, such as "paper.yaml", wherever the package is installed.
-
-    Raises:
-        FileError: There is no such file.
-
-    """
+    """Return a file of the config folder, such as "paper.yaml"; FileError if it is missing."""
     return _shared(f"config/{name}")
 
 
@@ -44,12 +39,7 @@ def parameter_file(name: str) -> FilePath:
 
 
 def docs_page(name: str) -> FilePath:
-    """Return a page of the docs, such as "sweeps".
-
-    Raises:
-        FileError: There is no such page.
-
-    """
+    """Return a page of the docs, such as "sweeps"; raise FileError if it is missing."""
     known = docs_pages()
     if name not in known:
         raise FileError(f"unknown page '{name}'{did_you_mean(name, known)}")

@@ -58,12 +58,7 @@ class FaultScript:
         self._known = None
 
     def settings_at(self, settings: SimulatorSettings, time: float) -> SimulatorSettings:
-        """Return settings with the changes of the script at a time [s].
-
-        Raises:
-            SettingsError: They do not fit each other.
-
-        """
+        """Return settings with the changes at a time [s]; SettingsError if they do not fit."""
         if not self.entries:
             return settings
         holding = tuple(entry for entry in self.entries if entry.holds(time))
@@ -83,10 +78,7 @@ class FaultScript:
 def read_fault_script(name: str) -> FaultScript:
     """Return the script in a file, or with the name of one in config/faults; "" gives none.
 
-    Raises:
-        FileError: There is no such file, or it is no list of faults.
-        SettingsError: An entry is wrong; the message names it and the key.
-
+    Raises FileError without such a file, SettingsError for a wrong entry; the message names it.
     """
     if not name:
         return FaultScript()

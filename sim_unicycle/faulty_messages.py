@@ -37,14 +37,7 @@ def published_time(time: int, settings: SimulatorSettings) -> int:
 
 
 def odometry_of(reading: Reading, time: int, settings: SimulatorSettings) -> Odometry:
-    """Return the message of a reading, with the faults of the settings.
-
-    Args:
-        reading: The measurement.
-        time: Time of the measurement by the simulated clock [ns].
-        settings: Frames and faults.
-
-    """
+    """Return the message of a reading at a simulated time [ns], with the faults of the settings."""
     faults, simulation = settings.message_faults, settings.simulation
     frames = (
         faults.reported_odom_frame or simulation.odom_frame,

@@ -20,12 +20,7 @@ class BackgroundFile:
     """
 
     def __init__(self, path: FilePath) -> None:
-        """Create the file and start its thread.
-
-        Raises:
-            OSError: The file exists or cannot be made.
-
-        """
+        """Create the file and start its thread; OSError if it exists or cannot be made."""
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
         self._descriptor = os.open(path, flags, 0o666)
         self._length = 0  # of all that was given
@@ -59,12 +54,7 @@ class BackgroundFile:
         return len(piece)
 
     def flush(self) -> None:
-        """Have everything written at once, by the thread.
-
-        Raises:
-            OSError: Something before could not be written.
-
-        """
+        """Have everything written at once, by the thread; OSError if an earlier piece failed."""
         self._hand_over()
         if self._error is not None:
             raise self._error
@@ -77,12 +67,7 @@ class BackgroundFile:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Write everything and close the file; what failed before is tried once more.
-
-        Raises:
-            OSError: Not everything could be written.
-
-        """
+        """Write everything, with another attempt at what failed, and close; may raise OSError."""
         self.end()
         self._thread.join()
         try:

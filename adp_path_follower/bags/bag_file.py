@@ -63,12 +63,7 @@ class BagFile:
     """A file with its own schemas, channels, index and statistics."""
 
     def __init__(self, path: FilePath, file_format: FileFormat) -> None:
-        """Create the file.
-
-        Raises:
-            OSError: It exists, or cannot be written.
-
-        """
+        """Create the file; raise OSError if it exists or cannot be written."""
         self.name = path.name
         self.message_count = 0
         self.first_time: int | None = None
@@ -126,21 +121,11 @@ class BagFile:
         self._mcap.add_message(topic, log_time, message, publish_time, sequence)
 
     def flush(self) -> None:
-        """Close the open chunk and hand everything to the operating system.
-
-        Raises:
-            OSError: Something before could not be written.
-
-        """
+        """Close the open chunk and hand everything to the operating system; may raise OSError."""
         self._mcap.flush()
 
     def check(self) -> None:
-        """Do nothing, unless something went wrong behind a finished file.
-
-        Raises:
-            OSError: Not everything could be written so far.
-
-        """
+        """Raise OSError if something behind a finished file could not be written so far."""
         self._stream.flush()
 
     def finish(self) -> None:
@@ -153,12 +138,7 @@ class BagFile:
             self._stream.end()
 
     def close(self) -> None:
-        """Finish and close the file.
-
-        Raises:
-            OSError: Not everything could be written.
-
-        """
+        """Finish and close the file; raise OSError if not everything could be written."""
         try:
             self.finish()
         finally:

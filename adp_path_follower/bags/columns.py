@@ -74,12 +74,7 @@ class Columns:
             self._decode()
 
     def series(self) -> tuple[Series, int, int]:
-        """Return everything, and what had to be left out.
-
-        Returns:
-            The messages; how many others cannot be decoded; how many hold another number of values.
-
-        """
+        """Return the messages, and how many are left out: undecodable, and of another width."""
         self._decode()
         values = np.zeros((0, 0)) if self._values is None else self._values
         _resize(self._count, self._stamp, self._arrival, values)

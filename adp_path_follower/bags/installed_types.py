@@ -42,9 +42,7 @@ class TypeText:
 def type_text(type_name: str) -> TypeText:
     """Return definition and hash of a message type.
 
-    Raises:
-        UnknownTypeError: No installed package defines the type, and ROS 2 Jazzy does not know it.
-
+    Raises UnknownTypeError if no installed package defines it, and ROS 2 Jazzy does not know it.
     """
     try:
         return _installed(type_name)

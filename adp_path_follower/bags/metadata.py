@@ -21,13 +21,10 @@ def bag_information(
     topics: Sequence[tuple[TopicDefinition, int]],
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Return what metadata.yaml says of a bag.
+    """Return the content of a bag's metadata.yaml.
 
-    Args:
-        files: Its files, in the order they were written.
-        topics: Its topics with their numbers of messages.
-        custom_data: Entries beside the usual ones.
-
+    The files are in the order they were written, the topics come with their numbers of messages,
+    and `custom_data` has entries beside the usual ones.
     """
     return {
         "version": _VERSION,
@@ -56,12 +53,7 @@ def bag_information(
 
 
 def write_metadata(directory: FilePath, information: Mapping[str, Any]) -> None:
-    """Write metadata.yaml in one step, so that it is always whole.
-
-    Raises:
-        OSError: It cannot be written; the one before is still there.
-
-    """
+    """Write a whole metadata.yaml in one step; after an OSError the one before is still there."""
     content = yaml.dump(
         {"rosbag2_bagfile_information": dict(information)},
         Dumper=_PlainDumper,

@@ -128,10 +128,7 @@ class BagWriter:
     ) -> int:
         """Add a topic and return the number to write its messages with.
 
-        Raises:
-            UnknownTypeError: The definition of the message type is not known.
-            FileError: There are more topics than the format can number.
-
+        Raises UnknownTypeError if the type's definition is not known, FileError for too many.
         """
         text = type_text(type_name)
         profiles = [dict(profile) for profile in qos_profiles]
@@ -150,11 +147,9 @@ class BagWriter:
         return number
 
     def copy_topic(self, topic: TopicDefinition) -> int:
-        """Add a topic as it is defined elsewhere; metadata.yaml shows it after `close`.
+        """Add a topic as it is defined elsewhere; FileError if the format cannot number more.
 
-        Raises:
-            FileError: There are more topics than the format can number.
-
+        The file metadata.yaml shows it after `close`.
         """
         if len(self._topics) >= _MOST_TOPICS:
             raise FileError(f"bag {self.directory} cannot hold more than {_MOST_TOPICS} topics")
@@ -179,9 +174,7 @@ class BagWriter:
     def flush(self) -> None:
         """Hand everything to the operating system: it then outlives this process.
 
-        Raises:
-            OSError: Something could not be written; `close` must follow.
-
+        After an OSError, which means that something could not be written, `close` must follow.
         """
         for file in tuple(self._unsettled):
             file.check()
@@ -195,10 +188,8 @@ class BagWriter:
     def close(self) -> None:
         """Write index, statistics and metadata.yaml.
 
-        Raises:
-            OSError: Not everything could be written. The files end with a whole record, for
-                `recover`; metadata.yaml is that of before.
-
+        Raises OSError if not everything could be written. The files then end with a whole record,
+        for `recover`, and metadata.yaml is that of before.
         """
         (self.directory / _RESERVE).unlink(missing_ok=True)
         errors = []

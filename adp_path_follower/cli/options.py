@@ -79,13 +79,7 @@ def simulator_options(command: Command) -> Command:
 
 
 def load_simulator(file: FilePath | None, assignments: tuple[str, ...]) -> SimulatorSettings:
-    """Return the simulator's settings of --sim-params and --sim-set.
-
-    Raises:
-        FileError: The file cannot be read.
-        SettingsError: A setting is unknown, of the wrong type or out of range.
-
-    """
+    """Return the simulator's settings of --sim-params and --sim-set; FileError or SettingsError."""
     return load_settings(SimulatorSettings, "unicycle_sim", file, assignments)
 
 
@@ -164,12 +158,7 @@ def cluster_options(command: Command) -> Command:
 def collect_starts(
     starts: tuple[tuple[float, float, float], ...], starts_file: FilePath | None
 ) -> FloatArray:
-    """Return the initial errors of --start and then of --starts, shape (B, 3).
-
-    Raises:
-        FileError: The file cannot be read.
-
-    """
+    """Return the initial errors of --start and --starts, shape (B, 3); may raise FileError."""
     errors = np.array(starts, dtype=float).reshape(-1, 3)
     if starts_file is not None:
         errors = np.vstack([errors, read_csv_columns(starts_file, ("s", "y", "theta"))])

@@ -19,12 +19,7 @@ from adp_path_follower.core.files import output_to
 
 
 def check_figure(file: FilePath | None) -> None:
-    """Reject a figure of a kind that cannot be drawn, before any work is done.
-
-    Raises:
-        FileError: Its name does not end in a known kind of picture.
-
-    """
+    """Raise FileError for a kind of figure that cannot be drawn, before any work is done."""
     if file is None:
         return
     from matplotlib.backend_bases import FigureCanvasBase  # which others need not wait for
@@ -37,12 +32,7 @@ def check_figure(file: FilePath | None) -> None:
 
 
 def write_npz(file: FilePath, arrays: dict[str, Any]) -> None:
-    """Write arrays to a compressed NumPy file of exactly this name.
-
-    Raises:
-        FileError: It cannot be written.
-
-    """
+    """Write arrays to a compressed NumPy file of exactly this name; may raise FileError."""
     content = io.BytesIO()  # a zip file that cannot be finished complains once more at its end
     np.savez_compressed(content, **arrays)
     with output_to(file):
@@ -51,12 +41,7 @@ def write_npz(file: FilePath, arrays: dict[str, Any]) -> None:
 
 
 def check_writable(*files: FilePath | None) -> None:
-    """Reject output files that cannot be written, before any work is done.
-
-    Raises:
-        FileError: A folder is missing or not writable, the file is a directory, or two are one.
-
-    """
+    """Raise FileError for output files that cannot be written, before any work is done."""
     given = [file for file in files if file is not None]
     for number, file in enumerate(given):
         if file.resolve() in [other.resolve() for other in given[:number]]:
@@ -70,12 +55,7 @@ def check_writable(*files: FilePath | None) -> None:
 
 
 def new_directory(directory: FilePath) -> FilePath:
-    """Return an output directory, made if needed.
-
-    Raises:
-        FileError: It holds files already, or cannot be made.
-
-    """
+    """Return an output directory, made if needed; FileError if it holds files or cannot be made."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
@@ -118,12 +98,7 @@ def output_directory(directory: FilePath, keep: bool = False) -> Iterator[FilePa
 
 
 def write_json(file: FilePath, content: object) -> None:
-    """Write JSON with null for numbers that are not finite, which JSON does not know.
-
-    Raises:
-        FileError: It cannot be written.
-
-    """
+    """Write JSON with null for numbers that are not finite; may raise FileError."""
     text = json.dumps(_finite(content), indent=2, allow_nan=False)
     with output_to(file):  # in place: it may be no file but /dev/stdout
         file.write_text(text + "\n", encoding="utf-8")

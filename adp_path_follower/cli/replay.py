@@ -126,12 +126,7 @@ def replay(
 
 
 def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
-    """Reject options that would do nothing beside others.
-
-    Raises:
-        AdpError: There is one; the sentence names both.
-
-    """
+    """Raise AdpError for options that would do nothing beside others; the sentence names both."""
     context = click.get_current_context()
 
     def refuse(reason: str, *names: str) -> None:

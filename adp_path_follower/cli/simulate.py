@@ -137,12 +137,7 @@ def _speed(simulated: float, elapsed: float) -> str:
 
 
 def _starting_from(file: FilePath, settings: Settings) -> ControllerFactory:
-    """Return what makes followers that start from a weights file.
-
-    Raises:
-        FileError: The file is none that these settings can start from.
-
-    """
+    """Return a maker of followers that start from a weights file; FileError if they cannot."""
     saved, _ = read_weights(file, settings)
 
     def make(settings: Settings, path: Path, arc_length: FloatArray) -> PathFollower:

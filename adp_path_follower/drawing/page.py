@@ -21,8 +21,7 @@ def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) 
         content: Further values for the template.
 
     Raises:
-        FileError: It cannot be written.
-        AdpError: Plotly or Jinja2 is missing.
+        AdpError: It cannot be written, or Plotly or Jinja2 is missing.
 
     """
     require("the page", "report")

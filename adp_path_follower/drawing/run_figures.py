@@ -70,13 +70,9 @@ class RunView:
 def draw_figures(
     view: RunView, directory: FilePath, optimum: ReferenceMotion | None = None
 ) -> list[FilePath]:
-    """Draw the paper's figures of a run; return the PNG files.
+    """Draw the paper's figures of a run into a directory; return the PNG files.
 
-    Args:
-        view: The run.
-        directory: Where the files go; made if it is missing.
-        optimum: The offline optimum to mark by circles, as in the paper.
-
+    Circles mark the offline optimum, if one is given, as in the paper.
     """
     drawings = {
         "figure_2_path.png": lambda: _path(view, optimum),

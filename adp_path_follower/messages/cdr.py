@@ -86,10 +86,8 @@ class MessageDecoder:
     def decode(self, messages: Sequence[bytes]) -> list[tuple[np.ndarray, np.ndarray, FloatArray]]:
         """Return the numbers of messages, in blocks of equal layout.
 
-        Returns:
-            For each block: which of the messages, shape (n,); their stamps [ns], shape (n,), zero
-            without header; a row of numbers for each, shape (n, M).
-
+        Each block has the places of its messages, shape (n,); their stamps [ns], shape (n,), zero
+        without header; and a row of numbers for each, shape (n, M).
         """
         sizes = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
         rest = np.arange(len(messages))
@@ -148,12 +146,7 @@ class MessageDecoder:
         return stamps, np.concatenate(columns, axis=1, dtype=np.float64)
 
     def _layout(self, message: bytes) -> _Layout:
-        """Return where the fields of a message lie.
-
-        Raises:
-            CdrError: The message is shorter than its fields, or has no such fields.
-
-        """
+        """Return the places of a message's fields; CdrError if it is too short or lacks one."""
         if len(message) < _HEADER or message[0] != 0 or message[1] not in (0, 1):
             raise CdrError("no CDR encapsulation")
         layout = _Layout("<" if message[1] else ">")

@@ -46,12 +46,7 @@ class Configuration:
 
     @property
     def settings(self) -> Settings:
-        """Return the settings.
-
-        Raises:
-            SettingsError: They are none of this version.
-
-        """
+        """Return the settings; raise SettingsError if they are none of this version."""
         return build(Settings, self.values)
 
 
@@ -80,12 +75,7 @@ def configuration_text(
 
 
 def parse_configuration(text: str) -> Configuration:
-    """Return what a text of a bag says.
-
-    Raises:
-        FileError: It is none that a controller wrote.
-
-    """
+    """Return the configuration in a text; raise FileError if no controller wrote it."""
     try:
         content = parse_yaml(text)
     except yaml.YAMLError:

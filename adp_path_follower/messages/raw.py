@@ -46,12 +46,7 @@ class PathPoses:
 
 
 def read_path(raw: bytes) -> PathPoses:
-    """Return what a serialised nav_msgs/Path says.
-
-    Raises:
-        CdrError: The bytes are no such message.
-
-    """
+    """Return the content of a serialised nav_msgs/Path; raise CdrError if it is none."""
     frame, at, order = _header(raw)
     try:
         at = _aligned(at, 4)
@@ -88,12 +83,7 @@ class OdometryNumbers(NamedTuple):
 
 
 def read_odometry(raw: bytes) -> OdometryNumbers:
-    """Return what a serialised nav_msgs/Odometry says.
-
-    Raises:
-        CdrError: The bytes are no such message.
-
-    """
+    """Return the content of a serialised nav_msgs/Odometry; raise CdrError if it is none."""
     frame, at, order = _header(raw)
     try:
         child_frame, at = _text(raw, _aligned(at, 4), order)
@@ -112,13 +102,9 @@ def read_odometry(raw: bytes) -> OdometryNumbers:
 
 
 def stamped_numbers(time: int, frame: str, numbers: Iterable[float]) -> bytes:
-    """Return a serialised message that is a header and numbers: a TwistStamped, a Vector3Stamped.
+    """Return a serialised message of a header and numbers: a TwistStamped, a Vector3Stamped.
 
-    Args:
-        time: Stamp [ns].
-        frame: Frame of the header.
-        numbers: All that follows the header.
-
+    The header has a stamp [ns] and a frame.
     """
     numbers = tuple(numbers)
     text = frame.encode() + b"\0"
@@ -130,12 +116,7 @@ def stamped_numbers(time: int, frame: str, numbers: Iterable[float]) -> bytes:
 
 
 def frame_of(raw: bytes) -> str:
-    """Return the frame of a serialised nav_msgs/Path, at once.
-
-    Raises:
-        CdrError: The bytes are no such message.
-
-    """
+    """Return the frame of a serialised nav_msgs/Path, at once; raise CdrError if it is none."""
     return _header(raw)[0]
 
 
@@ -150,12 +131,9 @@ def is_empty(raw: bytes) -> bool:
 
 
 def transformed(poses: FloatArray, transform: tuple[float, ...]) -> FloatArray:
-    """Return poses (N, 3) in another frame.
+    """Return poses [x, y, heading], shape (N, 3), in another frame.
 
-    Args:
-        poses: x, y, heading in their own frame.
-        transform: x [m], y [m] and turn [rad] of that frame in the other; empty changes nothing.
-
+    `transform` has x [m], y [m] and turn [rad] of their own frame in the other; empty for none.
     """
     if not transform:
         return poses
@@ -176,12 +154,7 @@ def _too_short() -> CdrError:
 
 
 def _header(raw: bytes) -> tuple[str, int, str]:
-    """Return the frame, where the header ends, and the byte order.
-
-    Raises:
-        CdrError: There is no header.
-
-    """
+    """Return the frame, where the header ends, and the byte order; CdrError without a header."""
     if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
         raise CdrError("no CDR encapsulation")
     order = "<" if raw[1] else ">"

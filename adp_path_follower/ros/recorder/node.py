@@ -45,10 +45,7 @@ class RecorderNode(Ending, Node):
     def __init__(self) -> None:
         """Create the bag and look for the topics.
 
-        Raises:
-            SettingsError: A setting is wrong.
-            FileError: The bag exists, or cannot be made.
-
+        Raises SettingsError for a wrong setting, FileError for a bag that exists or cannot be made.
         """
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         self._last_message = 0.0  # steady [s]

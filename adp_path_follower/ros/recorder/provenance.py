@@ -15,12 +15,7 @@ _REVISION = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
 
 
 def provenance(settings: object) -> dict[str, str]:
-    """Return what metadata.yaml shall say of a recording beside the usual.
-
-    Args:
-        settings: The recorder's settings tree.
-
-    """
+    """Return the entries of metadata.yaml on a recording's origin, with the recorder's settings."""
     found = {
         "host": platform.node(),
         "adp_path_follower": __version__,

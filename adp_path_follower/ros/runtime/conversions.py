@@ -67,12 +67,7 @@ def make_header(time: int, frame: str) -> Header:
 
 
 def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the heading [rad] of a rotation, given by a quaternion of any norm.
-
-    Raises:
-        MessageError: The quaternion is not finite or has zero norm.
-
-    """
+    """Return the heading [rad] of a quaternion of any norm; MessageError if it is none or zero."""
     squared_norm = x * x + y * y + z * z + w * w
     if not math.isfinite(squared_norm):
         raise MessageError(f"orientation is not finite: x {x}, y {y}, z {z}, w {w}")
@@ -87,12 +82,9 @@ def quaternion_of(yaw: float) -> Quaternion:
 
 
 def measurement_of(raw: bytes) -> Measurement:
-    """Return what a serialised odometry message says.
+    """Return the content of a serialised odometry message.
 
-    Raises:
-        MessageError: The bytes are no such message, a value is not finite, or the quaternion has
-            zero norm.
-
+    Raises MessageError if it is none, a value is not finite, or the quaternion has zero norm.
     """
     try:
         found = read_odometry(raw)

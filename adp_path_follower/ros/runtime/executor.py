@@ -31,12 +31,7 @@ class DirectExecutor(SingleThreadedExecutor):
     _is_stale = True  # whether the node may have other things to wait for by now
 
     def __init__(self, node: Node) -> None:
-        """Take a node over.
-
-        Raises:
-            AttributeError: This rclpy lacks an internal that this class stands on.
-
-        """
+        """Take a node over; raise AttributeError if rclpy lacks an internal that is used here."""
         super().__init__(context=node.context)
         self._node = node
         _check(rclpy_implementation.Timer, "is_timer_ready", "call_timer")
@@ -54,9 +49,7 @@ class DirectExecutor(SingleThreadedExecutor):
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Wait, at most so long [s], for something to do, and do it.
 
-        Raises:
-            ExternalShutdownException: The context was shut down.
-
+        Raises ExternalShutdownException if the context was shut down.
         """
         self._require_context()
         if self._is_stale:

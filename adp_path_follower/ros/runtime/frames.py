@@ -19,11 +19,9 @@ class FrameTransform(Protocol):
     """Knows where frames are."""
 
     def planar(self, target: str, source: str) -> tuple[float, float, float]:
-        """Return x [m], y [m] and turn [rad] of a source frame in a target frame, as of now.
+        """Return x [m], y [m] and turn [rad] of a source frame in a target frame.
 
-        Raises:
-            FrameError: It is not known.
-
+        Raises FrameError if it is not known.
         """
 
 
@@ -31,12 +29,7 @@ class Tf2Transform:
     """Takes transforms from tf2."""
 
     def __init__(self, node: Node) -> None:
-        """Listen to /tf and /tf_static.
-
-        Raises:
-            ImportError: tf2_ros is not installed.
-
-        """
+        """Listen to /tf and /tf_static; raise ImportError if tf2_ros is not installed."""
         import tf2_ros  # a real ROS installation has it, the wheels have not
 
         self._failure: Any = tf2_ros.TransformException
@@ -46,9 +39,7 @@ class Tf2Transform:
     def planar(self, target: str, source: str) -> tuple[float, float, float]:
         """Return x [m], y [m] and turn [rad] of a source frame in a target frame, the latest known.
 
-        Raises:
-            FrameError: tf2 does not connect the two.
-
+        Raises FrameError if tf2 does not connect the two.
         """
         try:
             found = self._buffer.lookup_transform(target, source, Time()).transform

@@ -111,12 +111,7 @@ def _spin(node: Any, stop: StopRequest) -> None:
 
 
 def _made(make_node: Callable[[], Node]) -> Node:
-    """Return the node.
-
-    Raises:
-        AdpError: It rejected its settings, or rclpy did.
-
-    """
+    """Return the node; raise AdpError if it or rclpy rejected its settings."""
     try:
         return make_node()
     except ValueError as error:

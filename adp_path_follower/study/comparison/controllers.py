@@ -55,12 +55,7 @@ class Peer:
 
 
 def _nmpc(settings: Settings, path: Path, arc_length: FloatArray) -> Controller:
-    """Make the only peer that needs CasADi.
-
-    Raises:
-        AdpError: There is no CasADi.
-
-    """
+    """Make the only peer that needs CasADi; raise AdpError if it is missing."""
     from adp_path_follower.study.comparison.peers.nmpc import Nmpc
 
     return Nmpc(settings, path, arc_length)
@@ -214,12 +209,7 @@ class Contender:
 
 
 def contenders(settings: Settings, names: Sequence[str]) -> list[Contender]:
-    """Return the controllers of these names.
-
-    Raises:
-        AdpError: There is no such controller.
-
-    """
+    """Return the controllers of these names; raise AdpError for an unknown one."""
     found = []
     for name in names:
         if name in ("adp", "adp_cold"):

@@ -123,12 +123,7 @@ def _wait(
     topics: tuple[str, ...],
     idle: Callable[[], None],
 ) -> None:
-    """Wait until the recorder has got something on every topic.
-
-    Raises:
-        AdpError: A node ended meanwhile, or it takes too long.
-
-    """
+    """Wait until the recorder has got something on every topic; AdpError if a node ends before."""
     deadline = time.monotonic() + _READY_TIMEOUT
     while not all(f"recording {topic}\n" in recorder.output() for topic in topics):
         for node in nodes:
@@ -161,11 +156,9 @@ class _Monitor:
         nodes: list[NodeProcess],
         report: Callable[[Progress | None], None],
     ) -> None:
-        """Report until the simulator ends, or the robot is at the goal.
+        """Report until the simulator ends or the robot is at the goal.
 
-        Raises:
-            AdpError: Another node ended, or nothing happens any more.
-
+        Raises AdpError if another node ends, or if nothing happens any more.
         """
         import rclpy  # here, so that `adp` works without ROS
         from geometry_msgs.msg import PoseStamped, Vector3Stamped

@@ -22,12 +22,7 @@ _DOMAINS = range(1, 102)  # the ports of higher ones lie where Linux takes ports
 
 @contextlib.contextmanager
 def own_domain() -> Iterator[int]:
-    """Claim a ROS domain that no other run on this machine has claimed.
-
-    Raises:
-        AdpError: Every domain is taken.
-
-    """
+    """Claim a ROS domain that no other run on this machine has; raise AdpError if all are taken."""
     candidates = list(_DOMAINS)
     random.shuffle(candidates)
     for domain in candidates:
@@ -97,12 +92,7 @@ class NodeProcess:
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     def wait_for_output(self, text: str, timeout: float) -> None:
-        """Wait until the node has printed a text.
-
-        Raises:
-            AdpError: It ended, or did not print it within the timeout [s].
-
-        """
+        """Wait until the node has printed a text; AdpError if it ends, or after the timeout [s]."""
         deadline = time.monotonic() + timeout
         while text not in self.output():
             if self.process.poll() is not None:

@@ -128,12 +128,7 @@ class OptimumSolver:
         self._mesh = functools.lru_cache(_MOST_MESHES)(self._transcribed)
 
     def solve(self, start: FloatArray) -> Optimum:
-        """Return the optimal motion from an initial error [s, y, theta], shape (3,).
-
-        Raises:
-            OptimumError: See `solve_optimum`.
-
-        """
+        """Return the optimal motion from an error [s, y, theta]; raises as `solve_optimum` does."""
         start = np.asarray(start, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise OptimumError(f"start is {start.tolist()}, but must be finite values s, y, theta")
@@ -170,13 +165,8 @@ class OptimumSolver:
     def _converged(self, coarse: Motion, best: Motion) -> tuple[Motion, tuple[float, ...], float]:
         """Return the optimum on a mesh so fine that halving its intervals changes nothing.
 
-        Args:
-            coarse: The motion on the coarsest mesh.
-            best: The same on the next one.
-
-        Returns:
-            The motion, the mesh, and the relative change of J by the last halving.
-
+        Takes the motions on the two coarsest meshes. Returns the motion, its mesh, and the relative
+        change of J by the last halving.
         """
         breaks = _halved(_graded(_INTERVALS // 2, self._horizon))
         change = _change(best, coarse)

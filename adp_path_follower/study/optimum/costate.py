@@ -36,15 +36,9 @@ class Extremal:
 
 
 def solve_costates(problem: Problem, motion: Motion) -> Extremal:
-    """Return the extremal near a motion.
+    """Return the extremal near a motion, such as the one found by collocation.
 
-    Args:
-        problem: The problem.
-        motion: A motion to start from, such as the one found by collocation.
-
-    Raises:
-        OptimumError: The boundary value problem could not be solved.
-
+    Raises OptimumError if the boundary value problem cannot be solved.
     """
     start = motion.state[0]
     unknown = np.zeros((9, len(motion.time)))

@@ -32,10 +32,7 @@ NO_SETTINGS = (
 def recorded_settings(run: Run) -> Settings:
     """Return the settings that the controller said last it runs with.
 
-    Raises:
-        FileError: The bag has none, or none that can be read.
-        SettingsError: They are none of this version.
-
+    Raises FileError if the bag has none, SettingsError if they are of another version.
     """
     if not run.configurations:
         raise FileError(NO_SETTINGS)
@@ -113,12 +110,7 @@ class RecordedDriver:
         return self._driver.at_goal
 
     def step(self, pose: FloatArray, stamp: int) -> FollowerOutput:
-        """Return what the follower gives for a pose (3,) at a time [ns].
-
-        Raises:
-            FileError: The pose is none that a robot can have.
-
-        """
+        """Return the output for a pose (3,) at a time [ns]; FileError if no robot can be there."""
         changed = self._count == 0
         while self._next is not None and self._next.after_step < stamp:
             self._change(self._next)
@@ -174,12 +166,7 @@ class RecordedDriver:
 
 
 def _saved_weights(run: Run, first: Configuration | None) -> SavedWeights | None:
-    """Return the weights that a controller started from, of what it said first.
-
-    Raises:
-        FileError: They are not in the bag, or damaged.
-
-    """
+    """Return the weights that a controller started from; FileError if missing or damaged."""
     if first is None or not first.saved_weights or first.learning_resets:
         return None
     if not run.initial_weights:

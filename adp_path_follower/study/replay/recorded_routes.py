@@ -41,21 +41,14 @@ class RecordedRoutes:
         self._found: dict[tuple[str, tuple[float, ...]], Route] = {}
 
     def last(self, settings: Settings) -> Route:
-        """Return the route of the last path.
-
-        Raises:
-            PathError: It is none that can be followed.
-
-        """
+        """Return the route of the last path; raise PathError if it cannot be followed."""
         poses = [poses for poses in self._poses if len(poses)]
         return _route(poses[-1], settings.path, ())
 
     def followed(self, number: int) -> Route:
         """Return the route of a path of the run as it was followed, else as its points have it.
 
-        Raises:
-            PathError: It is none that can be followed.
-
+        Raises PathError if it cannot be followed.
         """
         for change in self._changes:
             route = self._made(number, change.settings.path, change.transform)
@@ -64,12 +57,7 @@ class RecordedRoutes:
         return route_of(Path.from_points(self._poses[number][:, :2]))
 
     def of(self, change: Configuration) -> Route | None:
-        """Return the route that a configuration names, None if it names none.
-
-        Raises:
-            FileError: The bag has not its path.
-
-        """
+        """Return the route that a configuration names, None without; FileError if it is missing."""
         if not change.path_digest:
             return None
         key = change.path_digest, change.transform

@@ -133,12 +133,7 @@ def replay(
 
 
 def steps_of(run: Run) -> Steps:
-    """Return the control steps of a run.
-
-    Raises:
-        FileError: There are none, or they are of poses that are not finite.
-
-    """
+    """Return the control steps of a run; FileError if there are none, or poses are not finite."""
     series = run.series.get("measured_pose", run.series.get("odom"))
     if series is None:
         raise FileError("the bag has no odometry: name a topic of nav_msgs/msg/Odometry by --odom")
@@ -156,12 +151,7 @@ def steps_of(run: Run) -> Steps:
 
 
 def _settings_of_odometry_steps(run: Run) -> Settings:
-    """Return the recorded settings of a run whose odometry messages were its steps.
-
-    Raises:
-        FileError: They were not.
-
-    """
+    """Return the recorded settings of a run whose steps were its odometry; else raise FileError."""
     settings = recorded_settings(run)
     if settings.controller.control_trigger != "odometry":
         raise FileError(

@@ -39,9 +39,7 @@ def republish(
     rate: float,
     progress: Callable[[float], None],
 ) -> tuple[int, int]:
-    """Publish /clock, odometry and path as they were recorded.
-
-    Time is that of the odometry's stamps.
+    """Publish /clock, odometry and path as they were recorded, by the odometry's stamps.
 
     Args:
         bag: The bag.
@@ -50,7 +48,7 @@ def republish(
         progress: Called with the fraction done.
 
     Returns:
-        How many messages were published, and how many not because they cannot be decoded.
+        Number of messages that were published, and of those that cannot be decoded.
 
     Raises:
         AdpError: No controller listens, or no odometry can be decoded.
@@ -156,17 +154,9 @@ def recorded_messages(
 ) -> tuple[list[tuple[int, str, Any]], int]:
     """Return the odometry and the paths of a bag in the order to publish them in.
 
-    Args:
-        bag: The bag.
-        topics: "odom" and "path" -> their topics in it.
-
-    Returns:
-        Time [ns], key and message of each, by the clock of the odometry, a path at the latest with
-        the odometry; and how many messages cannot be decoded.
-
-    Raises:
-        AdpError: No odometry can be decoded.
-
+    `topics` gives the topics of "odom" and "path". Returns time [ns], key and message of each, by
+    the clock of the odometry (a path comes at the latest with the odometry), and the number of
+    messages that cannot be decoded. Raises AdpError if no odometry can be decoded.
     """
     found, damaged = _decoded(bag, {topics[key]: key for key in _TYPES})
     odometry = [(arrival, message) for arrival, key, message in found if key == "odom"]

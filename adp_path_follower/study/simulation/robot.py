@@ -9,12 +9,10 @@ from sim_unicycle.settings import PlantSettings, SimulatorSettings
 
 
 def without_nodes(settings: SimulatorSettings) -> tuple[PlantSettings, FaultScript]:
-    """Return what a simulation without ROS takes of the simulator's settings.
+    """Return the parts of the simulator's settings that a simulation without ROS uses.
 
-    Raises:
-        FileError: The fault script cannot be read.
-        SettingsError: Something is set, or in the script, that only the simulator node can do.
-
+    Raises FileError if the fault script cannot be read, and SettingsError for anything that only
+    the simulator node can do.
     """
     script = read_fault_script(settings.simulation.fault_script)
     message_fault = script.changes_messages()

@@ -120,11 +120,8 @@ def findings_text(found: Findings) -> str:
 def write_findings(found: Findings, title: str, directory: FilePath) -> list[FilePath]:
     """Write the best settings and those of the front as parameter files; return the first.
 
-    Files of a larger front before are removed.
-
-    Raises:
-        AdpError: A file cannot be written, or reads back as other settings.
-
+    Removes files of a larger front before. Raises AdpError if a file cannot be written, or reads
+    back as other settings.
     """
     if found.best is None:
         return []

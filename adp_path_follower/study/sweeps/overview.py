@@ -114,12 +114,7 @@ def shown(value: Value) -> str:
 def write_settings(
     file: FilePath, settings: Settings, comment: str, values: Mapping[str, Value]
 ) -> None:
-    """Write settings as a parameter file, with a comment and the values that were varied.
-
-    Raises:
-        FileError: It cannot be written.
-
-    """
+    """Write a parameter file with a comment and the varied values; may raise FileError."""
     varied = ", ".join(f"{name}: {shown(value)}" for name, value in values.items())
     text = parameter_file_text(settings, "path_follower")
     write_output(file, f"# {comment}\n# Varied: {varied or 'nothing'}.\n{text}")

@@ -27,12 +27,7 @@ _HEIGHT = 420  # [px]
 
 
 def write_sweep_page(found: Overview, title: str, file: FilePath) -> None:
-    """Write the report of a sweep.
-
-    Raises:
-        FileError: It cannot be written.
-
-    """
+    """Write the report of a sweep; raise FileError if it cannot be written."""
     sweep = found.sweep
     figures = sweep_figures(found)
     names = [item.name for item in sweep.variations]

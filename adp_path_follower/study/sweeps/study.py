@@ -31,7 +31,7 @@ _MOST_REFUSED = 50  # one after the other: then the ranges hold nothing that is 
 
 
 def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
-    """Return the study of a tuning, made if it is not there.
+    """Return the study of a tuning, which is made if it is missing.
 
     Args:
         tuning: The tuning; the study has its name.
@@ -75,12 +75,9 @@ def tune(
 ) -> None:
     """Try settings until the study has as many trials as are asked for.
 
-    Always as many trials are under way as the tuning says, and they are judged in the order in
-    which they began: what is proposed does not depend on how fast the workers are.
-
-    Raises:
-        AdpError: The workers fail, or the ranges hold no settings that are allowed.
-
+    The number of trials at once is that of the tuning, and they are judged in the order in which
+    they began, so that proposals do not depend on the speed of the workers. Raises AdpError if the
+    workers fail, or if the ranges hold no valid settings.
     """
     _judge_baseline(study, tuning, workers)
     distributions = {item.name: _distribution(item) for item in tuning.variations}

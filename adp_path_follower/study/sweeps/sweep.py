@@ -19,15 +19,8 @@ def run_missing(
 ) -> None:
     """Run the missing parts of a sweep, and write each one into the folder.
 
-    Args:
-        folder: Folder of the sweep.
-        missing: Numbers of the missing parts.
-        workers: Workers that run them.
-        progress: Called with the fraction done.
-
-    Raises:
-        AdpError: Folder or workers fail; finished parts stay.
-
+    `progress` is called with the fraction done. Raises AdpError if folder or workers fail; finished
+    parts stay.
     """
     parts = (folder.plan.part(number) for number in missing)
     for done, (part, columns) in enumerate(workers.results(work_off, parts), start=1):
@@ -36,12 +29,7 @@ def run_missing(
 
 
 def write_results(found: Overview, title: str, directory: FilePath) -> None:
-    """Write the page, and the best settings as a parameter file.
-
-    Raises:
-        FileError: One of them cannot be written.
-
-    """
+    """Write the page, and the best settings as a parameter file; may raise FileError."""
     write_sweep_page(found, title, directory / "report.html")
     best = directory / "best.yaml"
     if found.best is None:

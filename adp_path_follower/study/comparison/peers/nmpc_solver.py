@@ -137,7 +137,7 @@ class HorizonSolver:
             guess: A plan to start from.
             curvature: Place s_p [m], kappa [1/m], kappa' and kappa'' of each step, shape (N, 4).
             terminal: P of the terminal cost e^T P e, shape (3, 3).
-            careful: Whether the guess is poor, so that it takes the slower, safer solver.
+            careful: Whether to take the slower, safer solver, as the guess is poor.
 
         """
         origin = np.array([0.0, 0.0, 0.0, start[3]])  # s_p from the start: small numbers

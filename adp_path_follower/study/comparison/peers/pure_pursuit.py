@@ -26,12 +26,7 @@ _NAV2_PERIOD = 0.05  # [s] of Nav2's controller server: stands in where no time 
 
 
 def pursuit_curvature(carrot: FloatArray) -> FloatArray:
-    """Return the curvature [1/m] of the arc to a point seen from the robot, shape (...).
-
-    Args:
-        carrot: [x, y, ...] in the robot's frame [m], shape (..., 2 or more).
-
-    """
+    """Return the curvature [1/m] of the arc to points [x, y, ...] from the robot, shape (...)."""
     along, across = carrot[..., 0], carrot[..., 1]
     away = np.hypot(along, across)
     # Divided twice, lest the square of a distance overflow.

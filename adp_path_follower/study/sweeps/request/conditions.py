@@ -97,12 +97,7 @@ class PathSource:
     closed: bool | None = None
 
     def path(self, settings: PathSettings) -> Path:
-        """Return the path, prepared as the controller does.
-
-        Raises:
-            PathError: The points make no path.
-
-        """
+        """Return the path, prepared as the controller does; PathError if the points make none."""
         if self.points is None:
             return named_path(self.name, settings)
         return path_through(self.points, self.closed, settings)
@@ -171,16 +166,9 @@ class Conditions:
 def read_conditions(
     entries: Mapping[str, object], folder: FilePath, run: RunSettings
 ) -> Conditions:
-    """Return the conditions of a request.
+    """Return the conditions of a request, whose files are named from a folder.
 
-    Args:
-        entries: All entries of the request.
-        folder: Folder from which files are named.
-        run: Plain entries among them.
-
-    Raises:
-        AdpError: An entry is wrong; the message names it.
-
+    Raises AdpError if an entry is wrong; the message names it.
     """
     starts = _starts(entries.get("starts", [list(PAPER_START)]), folder)
     robots = _robots(section(entries, "robots"))

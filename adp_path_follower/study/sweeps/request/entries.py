@@ -17,13 +17,7 @@ Entries = dict[str, object]
 
 
 def read_entries(file: FilePath) -> Entries:
-    """Return the NAME: VALUE entries of a YAML file.
-
-    Raises:
-        FileError: The file cannot be read.
-        SettingsError: It holds something else.
-
-    """
+    """Return the NAME: VALUE entries of a YAML file; FileError or SettingsError if it has none."""
     content = read_yaml(file)
     if not isinstance(content, Mapping):
         raise SettingsError(f"file {file} must hold NAME: VALUE entries (adp docs sweeps)")
@@ -32,12 +26,7 @@ def read_entries(file: FilePath) -> Entries:
 
 @contextlib.contextmanager
 def errors_in(place: str) -> Iterator[None]:
-    """Prefix errors of the block with the file or section that they are about.
-
-    Raises:
-        SettingsError: The block raised an AdpError.
-
-    """
+    """Turn an AdpError of the block into a SettingsError that names its file or section first."""
     try:
         yield
     except AdpError as error:
@@ -45,12 +34,7 @@ def errors_in(place: str) -> Iterator[None]:
 
 
 def section(entries: Mapping[str, object], name: str) -> Entries:
-    """Return an entry that holds entries itself; empty if it is missing.
-
-    Raises:
-        SettingsError: It holds something else.
-
-    """
+    """Return an entry that holds entries itself, empty if missing; SettingsError if it is none."""
     found = entries.get(name, {})
     if not isinstance(found, Mapping):
         raise SettingsError(f"'{name}' is {found!r}, but must be NAME: VALUE entries")
@@ -60,14 +44,8 @@ def section(entries: Mapping[str, object], name: str) -> Entries:
 def build_entries(tree: type[Tree], entries: Mapping[str, object], others: Sequence[str]) -> Tree:
     """Return the settings tree of a file's entries; a single text stands for a list of one.
 
-    Args:
-        tree: Settings tree of the plain entries.
-        entries: All entries.
-        others: Names of entries that are read elsewhere.
-
-    Raises:
-        SettingsError: An entry has an unknown name, a wrong type, or is out of range.
-
+    `others` are entries that are read elsewhere. Raises SettingsError if an entry is unknown, has a
+    wrong type, or is out of range.
     """
     fields = {field.name: field for field in setting_fields(tree)}
     values: Entries = {}

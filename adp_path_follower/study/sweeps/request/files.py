@@ -62,11 +62,9 @@ class _TuneEntries:
 
 
 def read_sweep(file: FilePath) -> Sweep:
-    """Return the sweep that a file asks for; every combination of settings is checked.
+    """Return the sweep of a file, with every combination of settings checked.
 
-    Raises:
-        AdpError: An entry is wrong; the message names file, entry and remedy.
-
+    Raises AdpError if an entry is wrong; the message names file, entry and remedy.
     """
     entries = read_entries(file)
     with errors_in(f"file {file}"):
@@ -97,12 +95,7 @@ def read_sweep(file: FilePath) -> Sweep:
 
 
 def read_tuning(file: FilePath) -> Tuning:
-    """Return the tuning that a file asks for.
-
-    Raises:
-        AdpError: An entry is wrong; the message names file, entry and remedy.
-
-    """
+    """Return the tuning of a file; the AdpError of a wrong entry names file, entry and remedy."""
     entries = read_entries(file)
     with errors_in(f"file {file}"):
         return _tuning(entries, file.parent)
@@ -116,15 +109,8 @@ def tuning_of_options(
 ) -> Tuning:
     """Return the tuning that options ask for, on the forty starts of the reference.
 
-    Args:
-        params: Parameter file; None for the defaults.
-        assignments: NAME=VALUE that change it.
-        vary: NAME for the setting's own range, or NAME=RANGE as in a file.
-        objectives: Names; `cost` if there is none.
-
-    Raises:
-        AdpError: An option is wrong.
-
+    `vary` has NAME for the setting's own range, or NAME=RANGE as in a file. The objective is `cost`
+    if there is none. Raises AdpError if an option is wrong.
     """
     entries: dict[str, object] = {"starts": "forty"}
     if params is not None:

@@ -84,12 +84,9 @@ def unstable_runs(columns: Columns) -> int:
 
 
 def pareto_front(points: np.ndarray) -> np.ndarray:
-    """Return which points no other is better than in everything: a mask, shape (N,).
+    """Return which points (N, 2) no other is below in both numbers: a mask, shape (N,).
 
-    Args:
-        points: Objectives that are to be small, shape (N, 2); points that are not finite never are
-            on the front.
-
+    Points that are not finite are never on the front.
     """
     front = np.zeros(len(points), dtype=bool)
     least = math.inf

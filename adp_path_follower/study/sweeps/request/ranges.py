@@ -98,15 +98,9 @@ def read_variations(
 ) -> tuple[Variation, ...]:
     """Return the variations of the `settings` section of a request.
 
-    Args:
-        entries: Setting -> list of values, or range. For a list of numbers, `low` and `high` may
-            be lists, and each number varies by itself.
-        base: The values of all settings before.
-        own: Whether "own" is allowed, for the range of `own_range`.
-
-    Raises:
-        SettingsError: An unknown setting, an empty range, or values that the setting rejects.
-
+    For a list of numbers, `low` and `high` may be lists, and each number varies by itself. `base`
+    has the values of all settings before; `own` allows the text "own" for the range of `own_range`.
+    Raises SettingsError for an unknown setting, an empty range, or values that the setting rejects.
     """
     fields = {field.name: field for field in setting_fields(Settings)}
     found: list[Variation] = []
@@ -127,10 +121,7 @@ def own_range(field: SettingField, value: Value) -> list[Variation]:
     """Return a setting's own range: a tenth to ten times its value, within its limits.
 
     A setting with choices is tried with all of them. A value of 0 gets the whole allowed range.
-
-    Raises:
-        SettingsError: The allowed range is infinite, or the setting is a text.
-
+    Raises SettingsError if that is infinite, or if the setting is a text.
     """
     if field.kind is bool:
         return [Listed(field, (False, True))]
@@ -159,13 +150,7 @@ def own_range(field: SettingField, value: Value) -> list[Variation]:
 
 
 def settings_values(values: Mapping[str, Value], base: Mapping[str, Value]) -> dict[str, Value]:
-    """Return values by setting; numbers of a list are put into their list.
-
-    Args:
-        values: By the names of the variations.
-        base: The values of all settings before; they complete the lists.
-
-    """
+    """Return values by setting, where numbers of a list are put into their list in `base`."""
     found: dict[str, Value] = {}
     for name, value in values.items():
         setting, bracket, place = name.partition("[")

@@ -35,12 +35,7 @@ class Request:
     objectives: tuple[str, ...]
 
     def settings_with(self, values: Mapping[str, Value]) -> Settings:
-        """Return the settings with values of what varies, by name.
-
-        Raises:
-            SettingsError: They do not fit each other.
-
-        """
+        """Return the settings with these values; SettingsError if they do not fit each other."""
         base = flatten(self.conditions.settings)
         return build(Settings, {**base, **settings_values(values, base)})
 
@@ -108,12 +103,7 @@ class Sweep(Request):
         return dict(reversed(values.items()))
 
     def settings(self, combination: int) -> Settings:
-        """Return the settings of a combination.
-
-        Raises:
-            SettingsError: They do not fit each other.
-
-        """
+        """Return the settings of a combination; SettingsError if they do not fit each other."""
         varied = self.varied(combination)
         try:
             return self.settings_with(varied)

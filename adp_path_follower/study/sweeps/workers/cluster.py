@@ -58,11 +58,9 @@ class Workers:
         return self._client.submit(function, piece, pure=False, retries=_RETRIES)
 
     def result(self, future: Any) -> Any:
-        """Wait for a piece of work and return what the function made of it.
+        """Wait for a piece of work and return its result.
 
-        Raises:
-            AdpError: It failed, or killed worker after worker, or the scheduler is gone.
-
+        Raises AdpError if it failed, if it ended worker after worker, or if the scheduler is gone.
         """
         self._check_interrupts()
         try:
@@ -84,13 +82,9 @@ class Workers:
     def results(
         self, function: Callable[[Work], Any], work: Iterable[Work]
     ) -> Iterator[tuple[Work, Any]]:
-        """Return each piece of work with what the function made of it, as they are done.
+        """Return each piece of work with its result, as they are done; raises as `result` does.
 
         Only a few pieces are under way at any time, however many there are.
-
-        Raises:
-            AdpError: As `result` does.
-
         """
         waiting = iter(work)
         under_way: dict[Any, Work] = {}
@@ -112,7 +106,7 @@ class Workers:
 
 @contextlib.contextmanager
 def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
-    """Yield workers: those of a scheduler, or as many processes on this machine as it has cores.
+    """Yield the workers of a scheduler, or a process on each core of this machine.
 
     Args:
         address: Address of a Dask scheduler, as in "tcp://host:8786"; None for this machine.
@@ -129,7 +123,7 @@ def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
 
 
 def _silence() -> None:
-    """Keep Dask's tracebacks of lost connections to itself; what matters is said here."""
+    """Switch off Dask's tracebacks of lost connections; errors that matter are raised here."""
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -177,12 +171,7 @@ def _connected(address: str) -> Iterator[Client]:
 
 
 def _check_address(address: str) -> None:
-    """Refuse what Dask's client would refuse, too, but not without a traceback, or without end.
-
-    Raises:
-        ValueError: There is no port, or no such way to connect.
-
-    """
+    """Raise ValueError for addresses that give a traceback or no answer in Dask's client."""
     scheme, place = parse_address(address)
     parse_host_port(place)
     secured = Security().get_connection_args("client").get("ssl_context") is not None
@@ -192,7 +181,7 @@ def _check_address(address: str) -> None:
 
 
 def _check_versions(client: Client, address: str) -> None:
-    """Refuse workers that would do the work otherwise, or not at all."""
+    """Reject workers without this version of the package."""
 
     def version() -> str:
         try:

@@ -35,9 +35,7 @@ class Estimate:
 def estimate(sweep: Sweep, address: str | None, count: int | None) -> Estimate:
     """Return the computing time of a sweep, measured with a few of its batches on this machine.
 
-    Raises:
-        AdpError: The scheduler cannot be reached.
-
+    Raises AdpError if the scheduler cannot be reached.
     """
     plan = Plan(sweep)
     numbers = np.unique(np.linspace(0, plan.parts - 1, _TIMED_PARTS).astype(int))

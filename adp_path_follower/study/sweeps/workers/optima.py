@@ -25,11 +25,7 @@ WHERE_KNOWN = (
 def optimal_costs(conditions: Conditions, settings: Settings, source: PathSource) -> FloatArray:
     """Return J* of each start, of the ideal robot, shape (B,); NaN where it is not known.
 
-    Args:
-        conditions: Starts, duration and the cost that counts.
-        settings: The controller's; speed, target and limits of the motion make the problem.
-        source: The path.
-
+    The cost that counts is that of `conditions`; speed, target and limits are those of `settings`.
     """
     unknown = np.full(len(conditions.starts), math.nan)
     name = _same_name(source.name)

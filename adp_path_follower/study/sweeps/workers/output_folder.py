@@ -29,8 +29,8 @@ class OutputFolder:
             description: Everything that the results depend on, as JSON has it.
 
         Raises:
-            FileError: It cannot be made or written, holds something else, or the results of other
-                work or of another version, or another command is writing there.
+            FileError: It cannot be written, holds something else or results of another request or
+                version, or another command is writing there.
 
         """
         self.directory, self._kind = directory, kind
@@ -66,12 +66,7 @@ class OutputFolder:
         self._lock.close()
 
     def write(self, file: FilePath, content: bytes) -> None:
-        """Write a file of the folder, whole or not at all: flushed to the disk, then renamed.
-
-        Raises:
-            FileError: The disk is full, or the folder is not there any more.
-
-        """
+        """Write a whole file of the folder (flushed, then renamed), or raise FileError."""
         try:
             write_whole(file, content, file.with_suffix(UNFINISHED))
         except OSError as error:

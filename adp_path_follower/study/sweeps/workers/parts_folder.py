@@ -23,12 +23,7 @@ class PartsFolder(OutputFolder):
     """The folder of a sweep; each part in it is complete."""
 
     def __init__(self, directory: FilePath, plan: Plan) -> None:
-        """Open the folder of a sweep, or make it.
-
-        Raises:
-            FileError: As `OutputFolder` does.
-
-        """
+        """Open the folder of a sweep, or make it; raises as `OutputFolder` does."""
         super().__init__(directory, "sweep", plan.sweep.description())
         self.plan = plan
         self._digest = plan.sweep.digest.encode()
@@ -49,12 +44,7 @@ class PartsFolder(OutputFolder):
         return [part for part in range(self.plan.parts) if not self._is_there(part)]
 
     def add(self, part: int, columns: Columns) -> None:
-        """Write a part.
-
-        Raises:
-            FileError: It cannot be written.
-
-        """
+        """Write a part; raise FileError if it cannot be written."""
         table = pa.table({name: _array(values) for name, values in columns.items()})
         buffer = io.BytesIO()
         pq.write_table(table.replace_schema_metadata({_MARK: self._digest}), buffer)

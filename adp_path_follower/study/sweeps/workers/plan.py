@@ -1,14 +1,12 @@
-"""The parts in which a sweep is worked off: what one worker does at once, and one file holds."""
+"""Divides a sweep into parts: the work of one worker at a time, and the content of one file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.sweeps.request.request import Sweep
 from adp_path_follower.study.sweeps.workers.optima import optimal_costs
 from adp_path_follower.study.sweeps.workers.runs import MOST_AT_ONCE, Batch, Columns, simulate_batch
@@ -36,82 +34,64 @@ class Plan:
     def __init__(self, sweep: Sweep) -> None:
         """Take the sweep."""
         self.sweep = sweep
-        self._blocks_each = -(-sweep.runs_each // MOST_AT_ONCE)
-        self._block = -(-sweep.runs_each // self._blocks_each)
         # Many small groups make one part, so that there are few files; a large one makes several.
-        self._groups = max(1, MOST_AT_ONCE // sweep.runs_each)
+        self._size = MOST_AT_ONCE // sweep.runs_each * sweep.runs_each or MOST_AT_ONCE
 
     @property
     def parts(self) -> int:
         """Return the number of parts."""
-        groups = self.sweep.combinations * self.sweep.groups_each
-        if self._blocks_each > 1:
-            return groups * self._blocks_each
-        return -(-groups // self._groups)
+        return -(-self.sweep.runs // self._size)
 
     def runs_of(self, number: int) -> range:
         """Return the numbers of the runs of a part."""
-        sweep = self.sweep
-        if self._blocks_each > 1:
-            group, block = divmod(number, self._blocks_each)
-            first = group * sweep.runs_each
-            start = first + block * self._block
-            return range(start, min(start + self._block, first + sweep.runs_each))
-        size = self._groups * sweep.runs_each
-        return range(number * size, min((number + 1) * size, sweep.runs))
+        first = number * self._size
+        return range(first, min(first + self._size, self.sweep.runs))
 
     def part(self, number: int) -> Part:
-        """Return a part."""
-        runs = self.runs_of(number)
-        batches: list[Batch] = []
-        columns: list[Columns] = []
-        for group, inside in self._groups_in(runs):
-            for batch, shared in self._batches(group, inside):
-                batches.append(batch)
-                columns.append(shared)
+        """Return a part: a batch for each stretch of consecutive seeds in a group."""
+        runs = np.asarray(self.runs_of(number))
+        _, _, robot_seed = self._seeds(runs)
+        ends = (np.diff(robot_seed) != 1) | (np.diff(runs // self.sweep.runs_each) != 0)
+        pieces = [self._batch(some) for some in np.split(runs, np.flatnonzero(ends) + 1)]
+        columns = [shared for _, shared in pieces]
         joined = {name: np.concatenate([item[name] for item in columns]) for name in columns[0]}
-        return Part(number, tuple(batches), joined)
+        return Part(number, tuple(batch for batch, _ in pieces), joined)
 
-    def _groups_in(self, runs: range) -> Iterator[tuple[int, range]]:
-        """Return each group of the runs, and which of its runs: numbers within the group."""
-        size = self.sweep.runs_each
-        for group in range(runs.start // size, -(-runs.stop // size)):
-            first = group * size
-            yield group, range(max(runs.start, first) - first, min(runs.stop - first, size))
+    def _seeds(self, runs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the numbers of start, noise sequence and robot's seed of runs (N,), (N,) each."""
+        conditions = self.sweep.conditions
+        noise, start = np.divmod(runs % self.sweep.runs_each, len(conditions.starts))
+        seed = np.asarray(conditions.noise_seeds)[noise]
+        return start, seed, seed * len(conditions.starts) + start
 
-    def _batches(self, group: int, inside: range) -> Iterator[tuple[Batch, Columns]]:
-        """Return the batches of a group: one for each stretch of consecutive seeds."""
+    def _batch(self, runs: np.ndarray) -> tuple[Batch, Columns]:
+        """Return the batch of some runs (N,) of one group, and the columns known before."""
         sweep, conditions = self.sweep, self.sweep.conditions
-        combination, place = divmod(group, sweep.groups_each)
+        combination, place = divmod(int(runs[0]) // sweep.runs_each, sweep.groups_each)
         path_number, robot_number = divmod(place, len(conditions.robots))
         source, robot = conditions.paths[path_number], conditions.robots[robot_number]
         settings = sweep.settings(combination)
-        optimal = optimal_costs(conditions, settings, source)
-        numbers = np.asarray(inside)
-        start = numbers % len(conditions.starts)
-        seed = np.asarray(conditions.noise_seeds)[numbers // len(conditions.starts)]
-        robot_seed = seed * len(conditions.starts) + start
-        for some in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(robot_seed) != 1) + 1):
-            batch = Batch(
-                first_run=group * sweep.runs_each + int(numbers[some[0]]),
-                settings=settings,
-                cost=conditions.settings.cost,
-                source=source,
-                robot=robot,
-                starts=conditions.starts[start[some]],
-                optimal_cost=optimal[start[some]],
-                first_seed=int(robot_seed[some[0]]),
-                run=conditions.run,
-            )
-            shared = {
-                "combination": np.full(len(some), combination),
-                **_setting_columns(sweep, combination, len(some)),
-                "path": np.full(len(some), source.name, dtype=object),
-                "robot": np.full(len(some), robot.name, dtype=object),
-                "noise_seed": seed[some],
-                "start": start[some],
-            }
-            yield batch, shared
+        start, seed, robot_seed = self._seeds(runs)
+        batch = Batch(
+            first_run=int(runs[0]),
+            settings=settings,
+            cost=conditions.settings.cost,
+            source=source,
+            robot=robot,
+            starts=conditions.starts[start],
+            optimal_cost=optimal_costs(conditions, settings, source)[start],
+            first_seed=int(robot_seed[0]),
+            run=conditions.run,
+        )
+        shared = {
+            "combination": np.full(len(runs), combination),
+            **_setting_columns(sweep, combination, len(runs)),
+            "path": np.full(len(runs), source.name, dtype=object),
+            "robot": np.full(len(runs), robot.name, dtype=object),
+            "noise_seed": seed,
+            "start": start,
+        }
+        return batch, shared
 
 
 def work_off(part: Part) -> Columns:
@@ -122,16 +102,11 @@ def work_off(part: Part) -> Columns:
 
 
 def check_first_runs(sweep: Sweep) -> None:
-    """Refuse what no run could be made with, before the long work: each path is tried once.
-
-    Raises:
-        AdpError: The controller cannot be made with the settings for a path.
-
-    """
+    """Raise AdpError before the long work if the controller cannot follow one of the paths."""
     from adp_path_follower.core.driving.follower import PathFollower
 
+    settings = sweep.settings(0)
     for source in sweep.conditions.paths:
-        settings: Settings = sweep.settings(0)
         try:
             PathFollower(settings, source.path(settings.path), np.zeros(1))
         except AdpError as error:
