@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
@@ -92,13 +93,18 @@ def draw_figures(
         ),
         "figure_5_weights.png": lambda: _weights(view),
     }
+    return save_figures(drawings, directory)
+
+
+def save_figures(
+    drawings: Mapping[str, Callable[[], Figure]], directory: FilePath
+) -> list[FilePath]:
+    """Draw figures by name into a directory, which is made if needed; return their files."""
     directory.mkdir(parents=True, exist_ok=True)
-    files = []
     with mpl.rc_context(STYLE):
         for name, draw in drawings.items():
-            files.append(directory / name)
-            draw().savefig(files[-1], bbox_inches="tight")
-    return files
+            draw().savefig(directory / name, bbox_inches="tight")
+    return [directory / name for name in drawings]
 
 
 def _path(view: RunView, optimum: ReferenceMotion | None) -> Figure:

@@ -101,18 +101,19 @@ def read_odometry(raw: bytes) -> OdometryNumbers:
     )
 
 
-def stamped_numbers(time: int, frame: str, numbers: Iterable[float]) -> bytes:
-    """Return a serialised message of a header and numbers: a TwistStamped, a Vector3Stamped.
+def stamped_numbers(
+    time: int, frame: str, numbers: Iterable[float], child_frame: str | None = None
+) -> bytes:
+    """Return a serialised message of a header, perhaps a child frame, and numbers.
 
-    The header has a stamp [ns] and a frame.
+    TwistStamped, PoseStamped, Vector3Stamped and Odometry are such. `time` [ns] is the stamp.
     """
     numbers = tuple(numbers)
-    text = frame.encode() + b"\0"
-    room = len(text) + -(_STAMP + 4 + len(text)) % 8  # up to where numbers may lie
-    return struct.pack(
-        f"<{_HEADER}siII{room}s{len(numbers)}d",
-        *(_LITTLE_ENDIAN, *divmod(time, _NANOSECONDS), len(text), text, *numbers),
-    )
+    head = struct.pack("<iI", *divmod(time, _NANOSECONDS))
+    for text in (frame,) if child_frame is None else (frame, child_frame):
+        coded = text.encode() + b"\0"
+        head += struct.pack(f"<{-len(head) % 4}xI{len(coded)}s", len(coded), coded)
+    return _LITTLE_ENDIAN + head + struct.pack(f"<{-len(head) % 8}x{len(numbers)}d", *numbers)
 
 
 def frame_of(raw: bytes) -> str:

@@ -6,6 +6,7 @@ would answer with a traceback) and import the node only then.
 
 from __future__ import annotations
 
+import functools
 import importlib
 import os
 import signal
@@ -33,31 +34,17 @@ def _main(module: str) -> None:
     sys.exit(code)
 
 
-def controller() -> None:
-    """Run the path follower node."""
-    _main("adp_path_follower.ros.controller.process")
-
-
-def path_publisher() -> None:
-    """Run the path publisher node."""
-    _main("adp_path_follower.ros.path_publisher")
-
-
-def recorder() -> None:
-    """Run the recorder node."""
-    _main("adp_path_follower.ros.recorder.node")
-
-
-def sim_unicycle() -> None:
-    """Run the unicycle simulator node."""
-    _main("sim_unicycle.node")
+# The console scripts of setup.py.
+controller = functools.partial(_main, "adp_path_follower.ros.controller.process")
+path_publisher = functools.partial(_main, "adp_path_follower.ros.path_publisher")
+recorder = functools.partial(_main, "adp_path_follower.ros.recorder.node")
+sim_unicycle = functools.partial(_main, "sim_unicycle.node")
 
 
 if __name__ == "__main__":  # python -m adp_path_follower.ros.runtime.entry NODE [ARGUMENTS]
-    name = sys.argv.pop(1)
     {
         "controller": controller,
         "path_publisher": path_publisher,
         "recorder": recorder,
         "sim_unicycle": sim_unicycle,
-    }[name]()
+    }[sys.argv.pop(1)]()

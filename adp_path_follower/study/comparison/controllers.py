@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -26,11 +25,18 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.resources import config_file
-from adp_path_follower.study.comparison.peers import lapierre_soetanto, pure_pursuit, stanley
-from adp_path_follower.study.comparison.peers.lapierre_soetanto import LapierreSoetanto
+from adp_path_follower.study.comparison.peers.lapierre_soetanto import (
+    LapierreSoetanto,
+    TunedLapierreSoetanto,
+)
 from adp_path_follower.study.comparison.peers.lqr import Lqr
-from adp_path_follower.study.comparison.peers.pure_pursuit import PurePursuit, RegulatedPurePursuit
-from adp_path_follower.study.comparison.peers.stanley import Stanley
+from adp_path_follower.study.comparison.peers.pure_pursuit import (
+    PurePursuit,
+    RegulatedPurePursuit,
+    TunedPurePursuit,
+    TunedRegulatedPurePursuit,
+)
+from adp_path_follower.study.comparison.peers.stanley import Stanley, TunedStanley
 from adp_path_follower.study.simulation.simulate import ControllerFactory
 
 Factory = Callable[[Settings, Path, FloatArray], Controller]
@@ -62,15 +68,11 @@ def _nmpc(settings: Settings, path: Path, arc_length: FloatArray) -> Controller:
 
 
 _PEERS = (
-    Peer(
-        "pure_pursuit",
-        "Pure pursuit (Coulter 1992), look-ahead 1 m",
-        PurePursuit,
-    ),
+    Peer("pure_pursuit", "Pure pursuit (Coulter 1992), look-ahead 1 m", PurePursuit),
     Peer(
         "pure_pursuit_tuned",
-        f"Pure pursuit (Coulter 1992), look-ahead tuned: {pure_pursuit.TUNED_LOOKAHEAD:g} m",
-        partial(PurePursuit, lookahead=pure_pursuit.TUNED_LOOKAHEAD),
+        "Pure pursuit (Coulter 1992), look-ahead tuned: 0.6 m",
+        TunedPurePursuit,
     ),
     Peer(
         "regulated_pure_pursuit",
@@ -80,17 +82,13 @@ _PEERS = (
     Peer(
         "regulated_pure_pursuit_tuned",
         "Regulated pure pursuit (Macenski et al. 2023), look-ahead by speed and slowing down tuned",
-        partial(RegulatedPurePursuit, rules=pure_pursuit.TUNED_RULES),
+        TunedRegulatedPurePursuit,
     ),
-    Peer(
-        "stanley",
-        "Stanley's law (Hoffmann et al. 2007) on a virtual bicycle",
-        Stanley,
-    ),
+    Peer("stanley", "Stanley's law (Hoffmann et al. 2007) on a virtual bicycle", Stanley),
     Peer(
         "stanley_tuned",
         "Stanley's law (Hoffmann et al. 2007) at the robot, with curvature feed-forward, tuned",
-        partial(Stanley, gains=stanley.TUNED_GAINS),
+        TunedStanley,
     ),
     Peer(
         "lapierre_soetanto",
@@ -101,7 +99,7 @@ _PEERS = (
         "lapierre_soetanto_tuned",
         "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at "
         "v = v_des - k s, tuned",
-        partial(LapierreSoetanto, gains=lapierre_soetanto.TUNED_GAINS),
+        TunedLapierreSoetanto,
     ),
     Peer(
         "lqr",

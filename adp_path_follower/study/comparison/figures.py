@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from pathlib import Path as FilePath
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from adp_path_follower.drawing.figure_style import COLORS, STYLE
+from adp_path_follower.drawing.figure_style import COLORS
+from adp_path_follower.drawing.run_figures import save_figures
 from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 _LEAST_LOSS = 1e-6  # of J*: what is drawn for less, and for less than nothing
@@ -21,17 +21,11 @@ _OWN = ("adp", "adp_cold")
 def draw_comparison(found: Comparison, directory: FilePath) -> list[FilePath]:
     """Draw cost, cross-track error and computing time of one path; return the PNG files."""
     drawings = {
-        "cost.png": _cost,
-        "cross_track.png": _cross_track,
-        "cost_per_step.png": _cost_per_step,
+        "cost.png": lambda: _cost(found),
+        "cross_track.png": lambda: _cross_track(found),
+        "cost_per_step.png": lambda: _cost_per_step(found),
     }
-    directory.mkdir(parents=True, exist_ok=True)
-    files = []
-    with mpl.rc_context(STYLE):
-        for name, draw in drawings.items():
-            files.append(directory / name)
-            draw(found).savefig(files[-1], bbox_inches="tight")
-    return files
+    return save_figures(drawings, directory)
 
 
 def _color(name: str) -> str:

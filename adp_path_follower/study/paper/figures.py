@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.drawing.figure_style import COLORS, STYLE
-from adp_path_follower.drawing.run_figures import RunView, draw_figures
+from adp_path_follower.drawing.figure_style import COLORS
+from adp_path_follower.drawing.run_figures import RunView, draw_figures, save_figures
 from adp_path_follower.study.paper.reproduce import PaperRun, Reproduction, Theorem
 from adp_path_follower.study.simulation.trajectories import Trajectories
 
@@ -26,11 +25,7 @@ def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
         "gain_conditions.png": lambda: _gain_conditions(found.theorem),
         "lyapunov.png": lambda: _lyapunov(found.theorem),
     }
-    with mpl.rc_context(STYLE):
-        for name, draw in drawings.items():
-            files.append(directory / name)
-            draw().savefig(files[-1], bbox_inches="tight")
-    return files
+    return files + save_figures(drawings, directory)
 
 
 def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...]) -> Figure:

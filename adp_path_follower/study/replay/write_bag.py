@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -12,10 +12,11 @@ import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from adp_path_follower.bags.writer import BagWriter
-from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.messages.raw import stamped_numbers
 from adp_path_follower.study.replay.replay import Replay
 
 _KINDS = {
@@ -31,12 +32,7 @@ _KINDS = {
     "/path_follower/cost": "std_msgs/msg/Float64",
     "/path_follower/configuration": "std_msgs/msg/String",
 }
-_COPIED = (
-    "odom",
-    "path",
-    "ground_truth",
-    "initial_weights",
-)  # of the recorded run, with the bytes that it has
+_COPIED = ("odom", "path", "ground_truth", "initial_weights")  # of the recorded run, as they are
 
 # Arrival [ns], topic, serialised message.
 _Entry = tuple[int, str, bytes]
@@ -88,128 +84,59 @@ def _recorded(reader: Reader, connections: list[Connection]) -> Iterator[_Entry]
 
 
 def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
-    """Yield what the nodes would have published, step by step."""
-    messages = _Messages(found.settings.learning.value_basis.labels)
-    said = dict(found.configurations)
-    arrival = int(found.steps.arrival[0])
+    """Yield the messages that the nodes would have published, step by step."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    said, arrival = dict(found.configurations), int(found.steps.arrival[0])
+    label = ", ".join(found.settings.learning.value_basis.labels)
     for step, output in enumerate(found.outputs):
         arrival = max(arrival, int(found.steps.arrival[step]))
         stamp, pose = int(found.stamp[step]), found.pose[step]
         if step in said:
-            yield arrival, "/path_follower/configuration", messages.text(said[step])
+            yield arrival, "/path_follower/configuration", _bytes(store, "String", data=said[step])
         if velocity is not None:
-            yield arrival, "/odom", messages.odometry(stamp, pose, velocity[step])
-        for topic, make in messages.of_step.items():
-            yield arrival, topic, make(stamp, pose, output, float(found.cost[step]))
+            zeros = (0.0,) * 36  # the covariances
+            motion = (*_pose(pose), *zeros, *_twist(velocity[step]), *zeros)
+            yield arrival, "/odom", stamped_numbers(stamp, "odom", motion, "base_link")
+        for topic, numbers in (
+            ("/cmd_vel", _twist(output.command)),
+            ("/path_follower/measured_pose", pose),
+            ("/path_follower/tracking_error", output.error),
+            ("/path_follower/target", _pose(output.target_pose)),
+        ):
+            yield arrival, topic, stamped_numbers(stamp, "odom", numbers)
+        for name, weights in vars(output.weights).items():
+            yield arrival, f"/path_follower/{name}_weights", _array(store, label, weights)
+        for name, value in (
+            ("bellman_error", output.bellman_error),
+            ("excitation", output.excitation),
+            ("cost", found.cost[step]),
+        ):
+            yield arrival, f"/path_follower/{name}", _bytes(store, "Float64", data=float(value))
 
 
-class _Messages:
-    """Makes serialised messages, without ROS."""
+def _pose(pose: FloatArray) -> tuple[float, ...]:
+    """Return the position and the quaternion of a planar pose (3,)."""
+    x, y, theta = pose.tolist()
+    return (x, y, 0.0, 0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
 
-    def __init__(self, labels: tuple[str, ...]) -> None:
-        """Take the names of the weights."""
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._labels = ", ".join(labels)
-        self.of_step: dict[str, Callable[[int, FloatArray, FollowerOutput, float], bytes]] = {
-            "/cmd_vel": lambda t, pose, out, cost: self._twist_stamped(t, out.command),
-            "/path_follower/measured_pose": lambda t, pose, out, cost: self._vector(t, pose),
-            "/path_follower/tracking_error": lambda t, pose, out, cost: self._vector(t, out.error),
-            "/path_follower/target": lambda t, pose, out, cost: self._target(t, out.target_pose),
-            "/path_follower/critic_weights": lambda t, pose, out, cost: self._array(
-                out.weights.critic
-            ),
-            "/path_follower/actor_weights": lambda t, pose, out, cost: self._array(
-                out.weights.actor
-            ),
-            "/path_follower/bellman_error": lambda t, pose, out, cost: self._number(
-                out.bellman_error
-            ),
-            "/path_follower/excitation": lambda t, pose, out, cost: self._number(out.excitation),
-            "/path_follower/cost": lambda t, pose, out, cost: self._number(cost),
-        }
 
-    def text(self, text: str) -> bytes:
-        """Return a std_msgs/String."""
-        return self._bytes("std_msgs/msg/String", data=text)
+def _twist(command: FloatArray) -> tuple[float, ...]:
+    v, w = command.tolist()
+    return (v, 0.0, 0.0, 0.0, 0.0, w)
 
-    def odometry(self, stamp: int, pose: FloatArray, velocity: FloatArray) -> bytes:
-        """Return odometry of a pose (3,) and v, w (2,)."""
-        zeros = np.zeros(36)
-        return self._bytes(
-            "nav_msgs/msg/Odometry",
-            header=self._header(stamp),
-            child_frame_id="base_link",
-            pose=self._make(
-                "geometry_msgs/msg/PoseWithCovariance", pose=self._pose(pose), covariance=zeros
-            ),
-            twist=self._make(
-                "geometry_msgs/msg/TwistWithCovariance",
-                twist=self._twist(velocity),
-                covariance=zeros,
-            ),
-        )
 
-    def _make(self, kind: str, **fields: Any) -> Any:
-        return self._store.types[kind](**fields)
+def _array(store: Typestore, label: str, values: FloatArray) -> bytes:
+    """Return a row of numbers as a message, with the label that names them."""
+    size = len(values)
+    dimension = _make(store, "MultiArrayDimension", label=label, size=size, stride=size)
+    layout = _make(store, "MultiArrayLayout", dim=[dimension], data_offset=0)
+    return _bytes(store, "Float64MultiArray", layout=layout, data=np.asarray(values))
 
-    def _bytes(self, kind: str, **fields: Any) -> bytes:
-        return bytes(self._store.serialize_cdr(self._make(kind, **fields), kind))
 
-    def _header(self, stamp: int) -> Any:
-        seconds, nanoseconds = divmod(stamp, 1_000_000_000)
-        time = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-        return self._make("std_msgs/msg/Header", stamp=time, frame_id="odom")
+def _make(store: Typestore, kind: str, **fields: Any) -> Any:
+    return store.types[f"std_msgs/msg/{kind}"](**fields)
 
-    def _vector3(self, x: float, y: float, z: float) -> Any:
-        return self._make("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
 
-    def _twist(self, command: FloatArray) -> Any:
-        return self._make(
-            "geometry_msgs/msg/Twist",
-            linear=self._vector3(command[0], 0.0, 0.0),
-            angular=self._vector3(0.0, 0.0, command[1]),
-        )
-
-    def _pose(self, pose: FloatArray) -> Any:
-        half = 0.5 * float(pose[2])
-        return self._make(
-            "geometry_msgs/msg/Pose",
-            position=self._make(
-                "geometry_msgs/msg/Point", x=float(pose[0]), y=float(pose[1]), z=0.0
-            ),
-            orientation=self._make(
-                "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)
-            ),
-        )
-
-    def _twist_stamped(self, stamp: int, command: FloatArray) -> bytes:
-        return self._bytes(
-            "geometry_msgs/msg/TwistStamped",
-            header=self._header(stamp),
-            twist=self._twist(command),
-        )
-
-    def _vector(self, stamp: int, values: FloatArray) -> bytes:
-        return self._bytes(
-            "geometry_msgs/msg/Vector3Stamped",
-            header=self._header(stamp),
-            vector=self._vector3(*values.tolist()),
-        )
-
-    def _target(self, stamp: int, pose: FloatArray) -> bytes:
-        return self._bytes(
-            "geometry_msgs/msg/PoseStamped", header=self._header(stamp), pose=self._pose(pose)
-        )
-
-    def _number(self, value: Any) -> bytes:
-        return self._bytes("std_msgs/msg/Float64", data=float(value))
-
-    def _array(self, values: FloatArray) -> bytes:
-        dimension = self._make(
-            "std_msgs/msg/MultiArrayDimension",
-            label=self._labels,
-            size=len(values),
-            stride=len(values),
-        )
-        layout = self._make("std_msgs/msg/MultiArrayLayout", dim=[dimension], data_offset=0)
-        return self._bytes("std_msgs/msg/Float64MultiArray", layout=layout, data=np.asarray(values))
+def _bytes(store: Typestore, kind: str, **fields: Any) -> bytes:
+    message = _make(store, kind, **fields)
+    return bytes(store.serialize_cdr(message, f"std_msgs/msg/{kind}"))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -241,14 +242,9 @@ class _ClosedLoop:
         note: Callable[[int, ControlOutput, FloatArray], None],
         report: Callable[[float], None],
     ) -> SimulationResult:
-        """Return the outcome after so many control periods [s].
+        """Return the outcome after a number of control periods [s].
 
-        Args:
-            steps: Number of periods.
-            period: Their length [s].
-            note: Called at every step with its number, the output and the true poses.
-            report: Called now and then with the fraction that is done.
-
+        `note` gets each step's number, output and true poses; `report` the fraction that is done.
         """
         count = len(self._starts)
         last_outside = np.full(count, -1)
@@ -320,22 +316,14 @@ class _ClosedLoop:
 
 def _joined(blocks: list[SimulationResult], trajectories: Trajectories | None) -> SimulationResult:
     """Return the blocks as one result."""
-
-    def joined(take: Callable[[SimulationResult], FloatArray]) -> FloatArray:
-        return np.concatenate([take(block) for block in blocks])
-
+    names = {item.name for item in fields(SimulationResult)} - {"weights", "step_time"}
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(block, name) for block in blocks])
+        for name in names - {"trajectories"}
+    }
+    critic = np.concatenate([block.weights.critic for block in blocks])
+    actor = np.concatenate([block.weights.actor for block in blocks])
+    step_time = float(np.median([block.step_time for block in blocks]))
     return SimulationResult(
-        starts=joined(lambda block: block.starts),
-        cost=joined(lambda block: block.cost),
-        effort=joined(lambda block: block.effort),
-        final_error=joined(lambda block: block.final_error),
-        settling_time=joined(lambda block: block.settling_time),
-        max_inputs=joined(lambda block: block.max_inputs),
-        weights=Weights(
-            joined(lambda block: block.weights.critic), joined(lambda block: block.weights.actor)
-        ),
-        excitation=joined(lambda block: block.excitation),
-        step_time=float(np.median([block.step_time for block in blocks])),
-        failed=joined(lambda block: block.failed),
-        trajectories=trajectories,
+        **joined, weights=Weights(critic, actor), step_time=step_time, trajectories=trajectories
     )

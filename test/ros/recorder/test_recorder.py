@@ -148,7 +148,7 @@ def test_a_signal_loses_nothing(peer, start, tmp_path, number):
 def test_names_by_date_never_meet(peer, start, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     revision = "0123456789" * 4
-    (tmp_path / ".git").mkdir()
+    subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
     (tmp_path / ".git" / "HEAD").write_text(f"{revision}\n")
     for seconds in range(90):
         taken = datetime.now() + timedelta(seconds=seconds)

@@ -166,14 +166,14 @@ def test_pursuit_follows_the_arc_through_the_point_ahead():
 
 def test_pure_pursuit_steers_by_twice_the_offset_over_the_distance_squared():
     # On a line, 0.3 m to its left: the point 1 m away lies 0.3 m to the right.
-    output = PurePursuit(SETTINGS, PATHS["line"], np.array([5.0]), lookahead=1.0).step(
+    output = PurePursuit(SETTINGS, PATHS["line"], np.array([5.0])).step(
         np.array([[5.0, 0.3, 0.0]]), 0.0
     )
     assert output.command[0] == pytest.approx([0.5, 0.5 * 2.0 * -0.3 / 1.0**2], abs=1e-4)
 
 
 def test_pure_pursuit_aims_at_the_nearest_place_from_far_away():
-    output = PurePursuit(SETTINGS, PATHS["line"], np.array([5.0]), lookahead=1.0).step(
+    output = PurePursuit(SETTINGS, PATHS["line"], np.array([5.0])).step(
         np.array([[5.0, 2.0, 0.0]]), 0.0
     )
     assert output.command[0] == pytest.approx([0.5, 0.5 * 2.0 * -2.0 / 2.0**2], abs=1e-6)

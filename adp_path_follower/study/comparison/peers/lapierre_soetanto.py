@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path, PathFrame
-from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
 
@@ -35,10 +33,6 @@ class LapierreSoetantoGains:
     speed_gain: float = 0.0
 
 
-USUAL_GAINS = LapierreSoetantoGains()
-TUNED_GAINS = LapierreSoetantoGains(coupling=0.5, speed_gain=1.0)
-
-
 class LapierreSoetanto(PeerController):
     """The nonlinear law of Lapierre, Soetanto, Pascoal (CDC 2003), kinematic part.
 
@@ -50,22 +44,10 @@ class LapierreSoetanto(PeerController):
 
     lets V = (s^2 + y^2) / 2 + (theta - delta)^2 / (2 gamma) decrease. The virtual target is the one
     that all peers share, whose speed has v_des in the place of v; the sign of v in delta is left
-    out, for v_des is positive.
-
-    The law leaves the speed open; usual is v = v_des. `TUNED_GAINS` have v = v_des - k s and are
-    the best by the score of `controllers`: k = 0.5, 0.75, 1, 1.25 1/s, gamma = 0.5, 1, 2 1/m^2.
+    out, for v_des is positive. The law leaves the speed open; usual is v = v_des.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        path: Path,
-        arc_length: ArrayLike = 0.0,
-        gains: LapierreSoetantoGains = USUAL_GAINS,
-    ) -> None:
-        """Take the gains."""
-        super().__init__(settings, path, arc_length)
-        self.gains = gains
+    gains = LapierreSoetantoGains()
 
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
@@ -99,3 +81,13 @@ class LapierreSoetanto(PeerController):
         s, y, theta = np.moveaxis(error, -1, 0)
         miss = theta + gains.approach_angle * np.tanh(gains.approach_gain * y)
         return np.asarray(0.5 * (s * s + y * y) + 0.5 * miss * miss / gains.coupling)
+
+
+class TunedLapierreSoetanto(LapierreSoetanto):
+    """The same law at v = v_des - k s.
+
+    The gains are the best by the score of `controllers` of k = 0.5, 0.75, 1, 1.25 1/s and
+    gamma = 0.5, 1, 2 1/m^2.
+    """
+
+    gains = LapierreSoetantoGains(coupling=0.5, speed_gain=1.0)

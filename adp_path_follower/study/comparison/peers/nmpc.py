@@ -31,12 +31,12 @@ class Nmpc(PeerController):
 
     Attributes:
         failures: Number of steps, over all robots, at which no new plan was found.
-        solver: Name and way of the solver that was picked, such as "fatrop, compiled".
+        solver: Name and way of the fast solver, such as "sqpmethod, compiled".
 
     """
 
     def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
-        """Pick, transcribe and compile the solver; once for all with the same numbers."""
+        """Transcribe and compile the solver; once for all with the same numbers."""
         super().__init__(settings, path, arc_length)
         self._schedule = RiccatiSchedule(path, settings.target, settings.cost)
         self._solver = horizon_solver(settings.target, settings.cost, settings.limits)

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import CostSettings, LimitSettings, TargetSettings
 from adp_path_follower.extras import Library
@@ -30,6 +29,25 @@ _MOST_ITERATIONS = 100  # one is enough on the path
 _STATES, _INPUTS = 4, 2
 _STAGE = _STATES + _INPUTS
 _CURVATURE_TERMS = 4  # place, and kappa there with its first two derivatives
+_QUIET = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
+_IPOPT = {
+    **_QUIET,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-6,
+    "ipopt.max_iter": _MOST_ITERATIONS,
+}
+_SQP = {
+    **_QUIET,
+    "qpsol": "qrqp",
+    "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
+    "max_iter": _MOST_ITERATIONS // 2,
+    "print_header": False,
+    "print_iteration": False,
+    "print_status": False,
+    "tol_du": 1e-5,
+    "tol_pr": 1e-6,
+}
 
 
 @dataclass(frozen=True)
@@ -67,36 +85,19 @@ class Plan:
 def horizon_solver(
     target: TargetSettings, cost: CostSettings, limits: LimitSettings
 ) -> HorizonSolver:
-    """Return the fastest solver that there is for these settings.
+    """Return the solver for these settings, compiled if there is a compiler.
 
-    Median tick per robot on the figure eight at 20 Hz, on one core of a small server:
-
-        compiled [ms]   fatrop  sqpmethod (qrqp)  IPOPT
-        no limits          0.7               0.7    1.7
-        box limits         1.2               0.7    3.1
-
-    Not compiled, fatrop and sqpmethod take 2.5 and 2.7 ms on the paper's run without limits. Both
-    can fail from a guess that is metres away, where fatrop can also go on for ever; hence IPOPT,
-    20 to 50 ms, where there is no good plan to start from.
-
-    Raises:
-        AdpError: CasADi has none of them.
-
+    Median tick per robot on the figure eight at 20 Hz, on one core of a small server: 0.7 ms with
+    sqpmethod and qrqp, compiled (2.7 ms if not), 1.7 to 3.1 ms with IPOPT. The fast one can fail
+    from a guess that is metres away; hence IPOPT, 20 to 50 ms, where there is no good plan to start
+    from.
     """
     problem = _transcription(target, cost)
-    fastest = ("fatrop", "sqpmethod") if limits.unlimited else ("sqpmethod", "fatrop")
-    names = [name for name in (*fastest, "ipopt") if casadi.has_nlpsol(name)]
-    if not names:
-        raise AdpError(
-            "the peer 'nmpc' needs a CasADi with fatrop, sqpmethod or ipopt, and this one has "
-            "none: pip install --upgrade casadi"
-        )
-    fast = casadi.nlpsol("nmpc", names[0], problem, _options(names[0]))
-    careful = casadi.nlpsol("nmpc", names[-1], problem, _options(names[-1]))
-    compiled = _compiled(fast, names[0])
-    if compiled is None:
-        return HorizonSolver(fast, careful, f"{names[0]}, not compiled", limits)
-    return HorizonSolver(compiled, careful, f"{names[0]}, compiled", limits)
+    fast = casadi.nlpsol("nmpc", "sqpmethod", problem, _SQP)
+    careful = casadi.nlpsol("nmpc", "ipopt", problem, _IPOPT)
+    compiled = _compiled(fast)
+    name = f"sqpmethod, {'not ' * (compiled is None)}compiled"
+    return HorizonSolver(compiled or fast, careful, name, limits)
 
 
 class HorizonSolver:
@@ -209,7 +210,7 @@ def _step_function(target: TargetSettings, cost: CostSettings) -> Any:
     return casadi.Function("step", [state, command, table], [after, spent])
 
 
-def _compiled(solver: Any, name: str) -> Any:
+def _compiled(solver: Any) -> Any:
     """Return CasADi's solver with its functions compiled, or None without a working compiler."""
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if compiler is None:
@@ -228,46 +229,6 @@ def _compiled(solver: Any, name: str) -> Any:
             subprocess.run(  # noqa: S603  # the compiler of this machine
                 [compiler, source, "-o", library, *flags], check=True, capture_output=True
             )
-            return casadi.nlpsol("nmpc", name, library, _options(name))
+            return casadi.nlpsol("nmpc", "sqpmethod", library, _SQP)
         except (OSError, subprocess.CalledProcessError, RuntimeError):
             return None
-
-
-def _options(solver: str) -> dict[str, Any]:
-    """Return the options of a solver."""
-    options: dict[str, Any] = {
-        "print_time": False,
-        "error_on_fail": False,
-        "show_eval_warnings": False,
-    }
-    if solver == "ipopt":
-        options |= {
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.tol": 1e-6,
-            "ipopt.max_iter": _MOST_ITERATIONS,
-        }
-    elif solver == "fatrop":
-        options |= {
-            "structure_detection": "auto",
-            "equality": [True] * (STEPS * _STATES),
-            "fatrop.print_level": 0,
-            "fatrop.tol": 1e-6,
-            "fatrop.max_iter": _MOST_ITERATIONS,
-        }
-    else:
-        options |= {
-            "qpsol": "qrqp",
-            "qpsol_options": {
-                "print_iter": False,
-                "print_header": False,
-                "error_on_fail": False,
-            },
-            "max_iter": _MOST_ITERATIONS // 2,
-            "print_header": False,
-            "print_iteration": False,
-            "print_status": False,
-            "tol_du": 1e-5,
-            "tol_pr": 1e-6,
-        }
-    return options

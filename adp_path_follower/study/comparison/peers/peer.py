@@ -23,6 +23,7 @@ class PeerController(ABC):
         self.settings = settings
         self.path = path
         self.target = VirtualTarget(path, settings.target, arc_length)
+        self.place: FloatArray = np.asarray(self.target.arc_length)  # near the robot, for some
 
     @property
     def cruising_speed(self) -> float:

@@ -14,9 +14,6 @@ from adp_path_follower.core.path.nearest import place_near
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
-USUAL_LOOKAHEAD = 1.0  # [m], as in MATLAB's controllerPurePursuit
-TUNED_LOOKAHEAD = 0.6  # [m]
-
 _LEAST_CARROT_SQUARED = 1e-3  # [m^2]: nearer than this there is no arc to it (Nav2)
 # A chord is no shorter than 2 / pi of its arc, up to half a circle; the rest is for a bent path.
 _ARC_OF_CHORD = 1.7
@@ -38,30 +35,25 @@ def pursuit_curvature(carrot: FloatArray) -> FloatArray:
 class PurePursuit(PeerController):
     """Pure pursuit (Coulter, CMU-RI-TR-92-01, 1992): steer along the arc to a point ahead.
 
-    The law holds the speed and has one number, the look-ahead distance; `TUNED_LOOKAHEAD` is the
-    best of 0.2, 0.3, ..., 1.3 and 1.5 m by the score of `controllers`.
+    The law holds the speed and has one number, the look-ahead distance.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        path: Path,
-        arc_length: ArrayLike = 0.0,
-        lookahead: float = USUAL_LOOKAHEAD,
-    ) -> None:
-        """Look ahead by a distance [m]."""
-        super().__init__(settings, path, arc_length)
-        self.lookahead = lookahead
-        self._place: FloatArray = np.asarray(self.target.arc_length)
+    lookahead = 1.0  # [m], as in MATLAB's controllerPurePursuit
 
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return v_des and the turn that follows the arc to the point ahead."""
-        self._place = place_near(self.path, pose, self._place)
-        curvature = pursuit_curvature(_carrot(self.path, pose, self._place, self.lookahead))
+        self.place = place_near(self.path, pose, self.place)
+        curvature = pursuit_curvature(_carrot(self.path, pose, self.place, self.lookahead))
         speed = np.full_like(curvature, self.cruising_speed)
         return np.stack([speed, speed * curvature], axis=-1)
+
+
+class TunedPurePursuit(PurePursuit):
+    """Pure pursuit with the best of 0.2, 0.3, ..., 1.3 and 1.5 m by the score of `controllers`."""
+
+    lookahead = 0.6
 
 
 @dataclass(frozen=True)
@@ -94,15 +86,6 @@ class RegulationRules:
     max_angular_accel: float = 3.2
 
 
-NAV2_RULES = RegulationRules()
-TUNED_RULES = RegulationRules(
-    use_velocity_scaled_lookahead_dist=True,
-    lookahead_time=1.2,
-    regulated_linear_scaling_min_radius=0.3,
-    rotate_to_heading_min_angle=1.57,
-)
-
-
 class RegulatedPurePursuit(PeerController):
     """Pure pursuit with Nav2's rules (Macenski et al., arXiv 2305.20026, 2023).
 
@@ -110,23 +93,14 @@ class RegulatedPurePursuit(PeerController):
     place towards a point that is far to the side. Left out is what needs a costmap or a goal:
     slowing down near obstacles, collision checks, the approach to the goal and the turn there; and
     what Nav2 has switched off: reversing, and a second point ahead for the curvature.
-
-    `TUNED_RULES` are the best by the score of `controllers` of look-ahead times 0.8, 1, 1.2, 1.5 s,
-    radii 0.9, 0.3 m and angles 0.785, 1.2, 1.57 rad, with the look-ahead distance by speed.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        path: Path,
-        arc_length: ArrayLike = 0.0,
-        rules: RegulationRules = NAV2_RULES,
-    ) -> None:
-        """Take the rules."""
+    rules = RegulationRules()
+
+    def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
+        """Start at rest."""
         super().__init__(settings, path, arc_length)
-        self.rules = rules
-        self._place: FloatArray = np.asarray(self.target.arc_length)
-        # In place of the odometry's twist, which Nav2 takes. The robot starts at rest.
+        # In place of the odometry's twist, which Nav2 takes.
         self._twist = np.zeros(2)
 
     def command(
@@ -134,8 +108,8 @@ class RegulatedPurePursuit(PeerController):
     ) -> FloatArray:
         """Return the regulated speed along the arc to the point ahead, or a turn in place."""
         twist = np.broadcast_to(self._twist, (*pose.shape[:-1], 2))
-        self._place = place_near(self.path, pose, self._place)
-        carrot = _carrot(self.path, pose, self._place, self.lookahead(twist[..., 0]))
+        self.place = place_near(self.path, pose, self.place)
+        carrot = _carrot(self.path, pose, self.place, self.lookahead(twist[..., 0]))
         curvature = pursuit_curvature(carrot)
         speed = self.regulated_speed(curvature)
         bearing = np.arctan2(contiguous(carrot[..., 1]), contiguous(carrot[..., 0]))
@@ -173,6 +147,21 @@ class RegulatedPurePursuit(PeerController):
         stopping = np.sqrt(2.0 * rules.max_angular_accel * np.abs(bearing))
         fast = np.abs(feasible) > stopping
         return np.asarray(np.where(fast, np.copysign(stopping, bearing), feasible))
+
+
+class TunedRegulatedPurePursuit(RegulatedPurePursuit):
+    """The same rules with the look-ahead distance by speed.
+
+    They are the best by the score of `controllers` of look-ahead times 0.8, 1, 1.2, 1.5 s, radii
+    0.9, 0.3 m and angles 0.785, 1.2, 1.57 rad.
+    """
+
+    rules = RegulationRules(
+        use_velocity_scaled_lookahead_dist=True,
+        lookahead_time=1.2,
+        regulated_linear_scaling_min_radius=0.3,
+        rotate_to_heading_min_angle=1.57,
+    )
 
 
 def place_ahead(path: Path, pose: FloatArray, place: FloatArray, distance: ArrayLike) -> FloatArray:

@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from adp_path_follower.core.geometry import FloatArray, tracking_error
-from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.core.path.nearest import place_near
-from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
 
@@ -35,12 +33,6 @@ class StanleyGains:
     curvature_feedforward: bool = False
 
 
-USUAL_GAINS = StanleyGains()
-TUNED_GAINS = StanleyGains(
-    position_gain=0.5, wheelbase=0.3, at_front_axle=False, curvature_feedforward=True
-)
-
-
 def steering_angle(
     heading_error: FloatArray, cross_track: FloatArray, speed: float, gains: StanleyGains
 ) -> FloatArray:
@@ -56,22 +48,10 @@ class Stanley(PeerController):
     w = v tan(delta) / wheelbase. The usual gain and steering limit are those of MATLAB's
     lateralControllerStanley; its wheelbase is a car's, so a small robot's stands in.
 
-    With the front axle on the path, the robot itself cuts the bends. `TUNED_GAINS` therefore take
-    the errors at the robot and feed arctan(wheelbase kappa) forward; they are the best by the score
-    of `registry` of k = 0.3, 0.5, 0.75, 1, 1.5, 2.5 1/s and wheelbases 0.1, 0.2, 0.3, 0.5 m.
+    With the front axle on the path, the robot itself cuts the bends, which `TunedStanley` mends.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        path: Path,
-        arc_length: ArrayLike = 0.0,
-        gains: StanleyGains = USUAL_GAINS,
-    ) -> None:
-        """Take the gains."""
-        super().__init__(settings, path, arc_length)
-        self.gains = gains
-        self._place: FloatArray = np.asarray(self.target.arc_length)
+    gains = StanleyGains()
 
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
@@ -82,8 +62,8 @@ class Stanley(PeerController):
         if gains.at_front_axle:
             reference[..., 0] += gains.wheelbase * np.cos(pose[..., 2])
             reference[..., 1] += gains.wheelbase * np.sin(pose[..., 2])
-        self._place = place_near(self.path, reference, self._place)
-        place = self.path.frame(self._place)
+        self.place = place_near(self.path, reference, self.place)
+        place = self.path.frame(self.place)
         _, cross_track, heading = np.moveaxis(tracking_error(reference, place.pose), -1, 0)
         steering = steering_angle(heading, cross_track, speed, gains)
         if gains.curvature_feedforward:
@@ -91,3 +71,13 @@ class Stanley(PeerController):
         steering = np.clip(steering, -gains.max_steering, gains.max_steering)
         turn = speed * np.tan(steering) / gains.wheelbase
         return np.stack([np.full_like(turn, speed), turn], axis=-1)
+
+
+class TunedStanley(Stanley):
+    """Stanley's law with the errors at the robot, and arctan(wheelbase kappa) fed forward.
+
+    The gains are the best by the score of `controllers` of k = 0.3, 0.5, 0.75, 1, 1.5, 2.5 1/s and
+    wheelbases 0.1, 0.2, 0.3, 0.5 m.
+    """
+
+    gains = StanleyGains(position_gain=0.5, at_front_axle=False, curvature_feedforward=True)
