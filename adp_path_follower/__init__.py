@@ -10,8 +10,6 @@ Everything that a script needs is here, and is imported when it is first used:
     print(adp.compare("circle:0.5", settings, controllers=["adp", "lqr"]))
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING, Any
 

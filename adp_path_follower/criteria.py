@@ -1,7 +1,5 @@
 """When a run has settled, is past its transient, or is off the path: one definition of each."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray

@@ -1,7 +1,5 @@
 """Optional libraries: imported at first use, and named in one sentence where they are missing."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 from types import ModuleType

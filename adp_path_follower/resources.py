@@ -1,7 +1,5 @@
 """Finds the files that come with the package: parameter files, layouts and docs pages."""
 
-from __future__ import annotations
-
 import difflib
 import os
 import sys

@@ -5,8 +5,6 @@ in what order a product is summed, so that two processes agree to the last bit o
 the same number.
 """
 
-from __future__ import annotations
-
 import os
 
 

@@ -1,7 +1,5 @@
 """Turn commands into motion: drive and ground, exactly over any step."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fault scripts: simulator parameters that change at set times."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Mapping
@@ -23,20 +21,12 @@ _ROUNDING = 1e-9  # [s]
 
 @dataclass(frozen=True)
 class FaultEntry:
-    """Parameters that hold for a time.
+    """Parameters that hold for a time."""
 
-    Attributes:
-        at: When it begins [s].
-        duration: How long it lasts [s]; infinite for the rest of the run.
-        every: After which time it begins again [s]; infinite for never.
-        values: Name: value of the parameters.
-
-    """
-
-    at: float
-    duration: float
-    every: float
-    values: Mapping[str, Value]
+    at: float  # when it begins [s]
+    duration: float  # how long it lasts [s]; infinite for the rest of the run
+    every: float  # after which time it begins again [s]; infinite for never
+    values: Mapping[str, Value]  # name: value of the parameters
 
     def holds(self, time: float) -> bool:
         """Return whether it holds at a time [s]."""

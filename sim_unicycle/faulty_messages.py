@@ -1,7 +1,5 @@
 """Odometry messages of the simulator, sound or faulty."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The simulator node: velocity commands in, odometry and clock out."""
 
-from __future__ import annotations
-
 import time as steady
 from collections.abc import Callable
 

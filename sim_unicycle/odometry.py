@@ -4,8 +4,6 @@ Random numbers depend on seed, run and the number of steps only: not on who meas
 or which other runs and disturbances there are.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -24,18 +22,12 @@ _NOISE, _DRIFT, _LOSS = range(3)  # streams of random numbers for each run
 
 @dataclass(frozen=True)
 class Reading:
-    """One measurement.
+    """One measurement."""
 
-    Attributes:
-        time: Time of the measurement [s].
-        pose: x [m], y [m], theta [rad] with noise and drift, heading in [-pi, pi), (..., 3).
-        twist: v [m/s] and w [rad/s] of the wheels, shape (..., 2).
-
-    """
-
-    time: float
+    time: float  # time of the measurement [s]
+    # x [m], y [m], theta [rad] with noise and drift, heading in [-pi, pi), (..., 3).
     pose: FloatArray
-    twist: FloatArray
+    twist: FloatArray  # v [m/s] and w [rad/s] of the wheels, shape (..., 2)
 
 
 class _Streams:

@@ -1,7 +1,5 @@
 """The unicycle: exact motion under held velocities, with the imperfections of a real robot."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A file that a thread writes, so that a slow disk delays nobody who records."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

@@ -1,7 +1,5 @@
 """One MCAP file of a bag that is being written."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
@@ -19,44 +17,25 @@ _LIBRARY = "adp_path_follower"
 
 @dataclass(frozen=True)
 class TopicDefinition:
-    """A topic as a bag describes it.
+    """A topic as a bag describes it."""
 
-    Attributes:
-        name: The topic.
-        type_name: Its message type.
-        schema_encoding: Language of the type's definition, such as ros2msg.
-        schema: The definition.
-        type_hash: Hash of the type (RIHS01), empty if it is not known.
-        qos_profiles: QoS profiles of its publishers.
-        message_encoding: How messages are serialised.
-        metadata: Further metadata of the channel.
-
-    """
-
-    name: str
-    type_name: str
-    schema_encoding: str
-    schema: bytes
-    type_hash: str = ""
-    qos_profiles: Sequence[dict[str, Any]] = ()
-    message_encoding: str = "cdr"
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    name: str  # the topic
+    type_name: str  # its message type
+    schema_encoding: str  # language of the type's definition, such as ros2msg
+    schema: bytes  # the definition
+    type_hash: str = ""  # hash of the type (RIHS01), empty if it is not known
+    qos_profiles: Sequence[dict[str, Any]] = ()  # QoS profiles of its publishers
+    message_encoding: str = "cdr"  # how messages are serialised
+    metadata: Mapping[str, str] = field(default_factory=dict)  # further metadata of the channel
 
 
 @dataclass(frozen=True)
 class FileFormat:
-    """How the files of a bag are written.
+    """How the files of a bag are written."""
 
-    Attributes:
-        chunked: Gather messages in chunks, with an index and checksums.
-        compression: How chunks are packed: "none" or "zstd".
-        background: Write in a thread.
-
-    """
-
-    chunked: bool = False
-    compression: str = "none"
-    background: bool = False
+    chunked: bool = False  # gather messages in chunks, with an index and checksums
+    compression: str = "none"  # how chunks are packed: "none" or "zstd"
+    background: bool = False  # write in a thread
 
 
 class BagFile:

@@ -1,7 +1,5 @@
 """Gather the messages of one topic as numbers, little by little and without copies."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 
@@ -33,19 +31,13 @@ _ARRAY = "std_msgs/msg/Float64MultiArray"
 
 @dataclass(frozen=True)
 class Series:
-    """The messages of one topic as numbers.
+    """The messages of one topic as numbers."""
 
-    Attributes:
-        stamp: Time of each message by its header, or by its arrival if it has none [ns], (N,).
-        values: One row for each message; the columns depend on the type, shape (N, M).
-        labels: Names of the columns of an array message.
-        arrival: Time at which each message was recorded [ns], shape (N,).
-
-    """
-
+    # Time of each message by its header, or by its arrival if it has none [ns], (N,).
     stamp: np.ndarray
-    values: FloatArray
-    labels: tuple[str, ...] = ()
+    values: FloatArray  # one row for each message; the columns depend on the type, shape (N, M)
+    labels: tuple[str, ...] = ()  # names of the columns of an array message
+    # Time at which each message was recorded [ns], shape (N,).
     arrival: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 

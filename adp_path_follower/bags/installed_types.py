@@ -1,7 +1,5 @@
 """Definitions of message types: as they are installed, else as ROS 2 Jazzy has them."""
 
-from __future__ import annotations
-
 import functools
 import os
 import re
@@ -25,17 +23,11 @@ class UnknownTypeError(FileError):
 
 @dataclass(frozen=True)
 class TypeText:
-    """A message type as a bag describes it.
+    """A message type as a bag describes it."""
 
-    Attributes:
-        definition: The text of its .msg file, and behind it those of all types in it, as rosbag2
-            joins them.
-        type_hash: Its hash (RIHS01).
-
-    """
-
+    # The text of its .msg file, and behind it those of all types in it, as rosbag2 joins them.
     definition: str
-    type_hash: str
+    type_hash: str  # its hash (RIHS01)
 
 
 @functools.lru_cache(maxsize=1024)

@@ -1,7 +1,5 @@
 """The metadata.yaml of a bag, as rosbag2 of ROS 2 Jazzy writes it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any

@@ -5,8 +5,6 @@ messages are not gathered in chunks, with it each flush closes the chunk. `close
 statistics and the final metadata.yaml.
 """
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 from collections.abc import Mapping, Sequence
@@ -39,16 +37,10 @@ class BagExistsError(FileError):
 
 @dataclass(frozen=True)
 class Limits:
-    """When a bag goes on in another file; 0 is never.
+    """When a bag goes on in another file; 0 is never."""
 
-    Attributes:
-        duration: Time [ns] between the first and the last message of a file.
-        size: Length [bytes] of a file without its index.
-
-    """
-
-    duration: int = 0
-    size: int = 0
+    duration: int = 0  # time [ns] between the first and the last message of a file
+    size: int = 0  # length [bytes] of a file without its index
 
 
 @dataclass

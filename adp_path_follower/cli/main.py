@@ -1,7 +1,5 @@
 """The `adp` command: its sub-commands, each imported only when it is called."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

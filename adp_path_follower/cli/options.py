@@ -1,7 +1,5 @@
 """Options that several commands share: the same names everywhere."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator

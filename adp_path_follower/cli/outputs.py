@@ -1,7 +1,5 @@
 """Output files: what is wrong with them is one sentence, said before the work if possible."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """`adp parameters`: what can be set, and how."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import click

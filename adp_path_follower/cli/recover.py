@@ -1,7 +1,5 @@
 """`adp recover`: a whole bag from a torn one."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import click

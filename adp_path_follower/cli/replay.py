@@ -1,7 +1,5 @@
 """`adp replay`: what the controller commands to recorded odometry."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """`adp simulate`: the closed loop without ROS."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path as FilePath
 

@@ -3,8 +3,6 @@
 Curves are decimated, so that a chart stays small however long the bag is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,20 +31,12 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over one axis.
+    """Curves over one axis."""
 
-    Attributes:
-        label: Name of the axis, with its unit.
-        lines: The curves.
-        limits: Values that the curves may not leave.
-        logarithmic: Whether the axis is.
-
-    """
-
-    label: str
-    lines: tuple[Line, ...]
-    limits: tuple[float, ...] = ()
-    logarithmic: bool = False
+    label: str  # name of the axis, with its unit
+    lines: tuple[Line, ...]  # the curves
+    limits: tuple[float, ...] = ()  # values that the curves may not leave
+    logarithmic: bool = False  # whether the axis is
 
 
 @dataclass(frozen=True)
@@ -60,27 +50,17 @@ class Histogram:
 
 @dataclass(frozen=True)
 class Track:
-    """Where the robot drove.
+    """Where the robot drove."""
 
-    Attributes:
-        path: Positions along all paths, one after the other with a row of NaN between, (N, 2).
-        time: Time of each point of the track [s], shape (T,).
-        position: x, y, shape (T, 2).
-        cross_track: Distance from the path with its sign [m], shape (T,).
-        color_limit: Distance from which on all have one colour [m].
-        moving_time: Times at which the whole is known where it was [s], shape (M,).
-        robot: x, y, theta then, shape (M, 3).
-        target: x, y of the virtual target then, shape (M, 2); NaN where it was not recorded.
-
-    """
-
+    # Positions along all paths, one after the other with a row of NaN between, (N, 2).
     path: FloatArray
-    time: FloatArray
-    position: FloatArray
-    cross_track: FloatArray
-    color_limit: float
-    moving_time: FloatArray
-    robot: FloatArray
+    time: FloatArray  # time of each point of the track [s], shape (T,)
+    position: FloatArray  # x, y, shape (T, 2)
+    cross_track: FloatArray  # distance from the path with its sign [m], shape (T,)
+    color_limit: float  # distance from which on all have one colour [m]
+    moving_time: FloatArray  # times at which the whole is known where it was [s], shape (M,)
+    robot: FloatArray  # x, y, theta then, shape (M, 3)
+    # x, y of the virtual target then, shape (M, 2); NaN where it was not recorded.
     target: FloatArray
 
 

@@ -1,7 +1,5 @@
 """Fewer points for a figure that looks the same."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray

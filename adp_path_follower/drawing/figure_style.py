@@ -1,7 +1,5 @@
 """How every figure looks."""
 
-from __future__ import annotations
-
 STYLE = {
     "axes.grid": True,
     "axes.spines.right": False,

@@ -1,7 +1,5 @@
 """A page of figures and tables: one file that opens without network."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path as FilePath
 from typing import Any

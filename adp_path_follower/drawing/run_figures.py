@@ -1,7 +1,5 @@
 """The paper's figures 2 to 5 of a run, recorded or simulated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -20,52 +18,29 @@ _START = 8.0  # [s] that the close-up of the path shows
 
 @dataclass(frozen=True)
 class ReferenceMotion:
-    """An optimal motion that a run is compared with.
+    """An optimal motion that a run is compared with."""
 
-    Attributes:
-        cost: J*.
-        time: Shape (N,) [s].
-        error: e = [s, y, theta], shape (N, 3).
-        modified_input: u = [v_e, w_e], shape (N, 2).
-        position: x, y in the world [m], shape (N, 2), where it is known.
-
-    """
-
-    cost: float
-    time: FloatArray
-    error: FloatArray
-    modified_input: FloatArray
-    position: FloatArray | None = None
+    cost: float  # J*
+    time: FloatArray  # shape (N,) [s]
+    error: FloatArray  # e = [s, y, theta], shape (N, 3)
+    modified_input: FloatArray  # u = [v_e, w_e], shape (N, 2)
+    position: FloatArray | None = None  # x, y in the world [m], shape (N, 2), where it is known
 
 
 @dataclass(frozen=True)
 class RunView:
-    """The data of one run that the figures show.
+    """The data of one run that the figures show."""
 
-    Attributes:
-        time: Time of each control step [s], shape (T,).
-        path: Positions along the path, shape (P, 2).
-        track: x, y, theta of the robot, shape (T, 3).
-        target: x, y of the virtual target, shape (T, 2).
-        error: e, shape (T, 3).
-        modified_input: u, shape (T, 2).
-        weight_time: Time of each row of the weights [s], shape (W,).
-        critic_weights: Shape (W, L).
-        actor_weights: Shape (W, L).
-        labels: Names of the terms of the basis, length L.
-
-    """
-
-    time: FloatArray
-    path: FloatArray
-    track: FloatArray
-    target: FloatArray
-    error: FloatArray
-    modified_input: FloatArray
-    weight_time: FloatArray
-    critic_weights: FloatArray
-    actor_weights: FloatArray
-    labels: tuple[str, ...]
+    time: FloatArray  # time of each control step [s], shape (T,)
+    path: FloatArray  # positions along the path, shape (P, 2)
+    track: FloatArray  # x, y, theta of the robot, shape (T, 3)
+    target: FloatArray  # x, y of the virtual target, shape (T, 2)
+    error: FloatArray  # e, shape (T, 3)
+    modified_input: FloatArray  # u, shape (T, 2)
+    weight_time: FloatArray  # time of each row of the weights [s], shape (W,)
+    critic_weights: FloatArray  # shape (W, L)
+    actor_weights: FloatArray  # shape (W, L)
+    labels: tuple[str, ...]  # names of the terms of the basis, length L
 
 
 def draw_figures(

@@ -5,8 +5,6 @@ sequences. So where a field lies is found once, by following the message definit
 itself holds, and then read from all messages of the same lengths in one step.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

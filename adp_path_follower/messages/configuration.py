@@ -1,7 +1,5 @@
 """The configuration of a controller, as text in a bag: written by nodes, read by analyses."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ ten times as long to make a message with two unused covariances. Every control s
 and a few numbers, and their bytes are written in a tenth of the time.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,16 +30,11 @@ _NANOSECONDS = 1_000_000_000
 
 @dataclass(frozen=True)
 class PathPoses:
-    """The content of a path message.
+    """The content of a path message."""
 
-    Attributes:
-        frame: Frame of the path.
-        poses: x [m], y [m] and heading [rad] of each pose, shape (N, 3); the heading is NaN where
-            the orientation is none.
-
-    """
-
-    frame: str
+    frame: str  # frame of the path
+    # x [m], y [m] and heading [rad] of each pose, shape (N, 3); the heading is NaN where the
+    # orientation is none.
     poses: FloatArray
 
 
@@ -58,28 +51,16 @@ def read_path(raw: bytes) -> PathPoses:
 
 
 class OdometryNumbers(NamedTuple):
-    """The motion of a robot in the plane, from an odometry message.
+    """The motion of a robot in the plane, from an odometry message."""
 
-    Attributes:
-        seconds: Stamp, whole seconds.
-        nanoseconds: Stamp, what is left of it.
-        frame: Frame of the pose.
-        child_frame: Frame of the twist.
-        position: x, y and z [m].
-        quaternion: x, y, z and w.
-        linear: Velocity forwards [m/s].
-        angular: Velocity about the vertical [rad/s].
-
-    """
-
-    seconds: int
-    nanoseconds: int
-    frame: str
-    child_frame: str
-    position: tuple[float, ...]
-    quaternion: tuple[float, ...]
-    linear: float
-    angular: float
+    seconds: int  # stamp, whole seconds
+    nanoseconds: int  # stamp, what is left of it
+    frame: str  # frame of the pose
+    child_frame: str  # frame of the twist
+    position: tuple[float, ...]  # x, y and z [m]
+    quaternion: tuple[float, ...]  # x, y, z and w
+    linear: float  # velocity forwards [m/s]
+    angular: float  # velocity about the vertical [rad/s]
 
 
 def read_odometry(raw: bytes) -> OdometryNumbers:

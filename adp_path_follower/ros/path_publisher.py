@@ -1,7 +1,5 @@
 """The path publisher node: a built-in path or a file as nav_msgs/Path, for late joiners too."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

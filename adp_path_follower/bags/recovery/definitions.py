@@ -1,7 +1,5 @@
 """Judge the message definitions in a bag by what rosbags makes of them."""
 
-from __future__ import annotations
-
 import functools
 
 from mcap.records import Schema

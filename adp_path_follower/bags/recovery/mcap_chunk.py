@@ -1,7 +1,5 @@
 """Read the chunks of an MCAP file, whole or cut off, without trusting what they say."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib
@@ -19,22 +17,13 @@ _PIECE = 256 * 1024
 
 @dataclass(frozen=True)
 class Chunk:
-    """The description of a chunk's content in its record.
+    """The description of a chunk's content in its record."""
 
-    Attributes:
-        size: Its size, unpacked.
-        checksum: Its CRC32, unpacked; 0 if there is none.
-        compression: How it is packed.
-        data: The packed content, or the beginning of it.
-        torn: Whether the end of the content is missing.
-
-    """
-
-    size: int
-    checksum: int
-    compression: str
-    data: memoryview
-    torn: bool
+    size: int  # its size, unpacked
+    checksum: int  # its CRC32, unpacked; 0 if there is none
+    compression: str  # how it is packed
+    data: memoryview  # the packed content, or the beginning of it
+    torn: bool  # whether the end of the content is missing
 
 
 def read_chunk(body: bytes, length: int) -> Chunk | None:

@@ -5,8 +5,6 @@ takes a record only if its frame (opcode, length, what follows) makes sense, rea
 `MOST_BYTES`, and never holds more than one body.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import struct
@@ -52,20 +50,12 @@ _CANDIDATE = re.compile(rb"(?s)[\x01-\x0f](?=.{3}[\x00-\x08]\x00{4})|" + MAGIC)
 
 
 class Record(NamedTuple):
-    """A record.
+    """A record."""
 
-    Attributes:
-        offset: Where it begins.
-        opcode: Kind of the record.
-        length: The length of its body, as it says.
-        body: The body; empty where nobody needs it, and cut off at the end of a torn file.
-
-    """
-
-    offset: int
-    opcode: int
-    length: int
-    body: bytes
+    offset: int  # where it begins
+    opcode: int  # kind of the record
+    length: int  # the length of its body, as it says
+    body: bytes  # the body; empty where nobody needs it, and cut off at the end of a torn file
 
 
 class Judge(Protocol):

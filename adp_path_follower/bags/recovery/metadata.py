@@ -1,7 +1,5 @@
 """The entries in the metadata.yaml of a torn bag that still make sense."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
@@ -31,19 +29,13 @@ _POLICIES: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class TornMetadata:
-    """Known metadata of a bag.
+    """Known metadata of a bag."""
 
-    Attributes:
-        qos_profiles: Topic -> its QoS profiles.
-        type_hashes: Topic -> the hash of its type.
-        custom_data: Entries that the recorder added.
-        kept: Entries that a copy of the bag shares with it.
-
-    """
-
+    # Topic -> its QoS profiles.
     qos_profiles: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
-    type_hashes: Mapping[str, str] = field(default_factory=dict)
-    custom_data: Mapping[str, str] = field(default_factory=dict)
+    type_hashes: Mapping[str, str] = field(default_factory=dict)  # topic -> the hash of its type
+    custom_data: Mapping[str, str] = field(default_factory=dict)  # entries that the recorder added
+    # Entries that a copy of the bag shares with it.
     kept: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -1,7 +1,5 @@
 """The recorder node: the topics of a run into a rosbag2 bag."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import itertools

@@ -1,7 +1,5 @@
 """The origin of a recording: host, versions, settings and the workspace's revision."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

@@ -1,7 +1,5 @@
 """The recorder's settings."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from adp_path_follower.bags.bag_file import COMPRESSIONS

@@ -1,7 +1,5 @@
 """Which topics a recorder takes: by name or by regular expression."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Between ROS messages and the core's arrays; bad messages raise `MessageError`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -26,22 +24,13 @@ class MessageError(AdpError, ValueError):
 
 @dataclass(frozen=True)
 class Measurement:
-    """The parts of an odometry message that the controller uses.
+    """The parts of an odometry message that the controller uses."""
 
-    Attributes:
-        stamp: Time of the message [ns].
-        pose: x [m], y [m], theta [rad], shape (3,).
-        twist: v [m/s], w [rad/s], shape (2,).
-        frame: Frame of the pose.
-        child_frame: Frame of the robot.
-
-    """
-
-    stamp: int
-    pose: FloatArray
-    twist: FloatArray
-    frame: str
-    child_frame: str
+    stamp: int  # time of the message [ns]
+    pose: FloatArray  # x [m], y [m], theta [rad], shape (3,)
+    twist: FloatArray  # v [m/s], w [rad/s], shape (2,)
+    frame: str  # frame of the pose
+    child_frame: str  # frame of the robot
 
     def pose_at(self, time: int) -> FloatArray:
         """Return the pose at a time [ns], moved on from the stamp at constant twist.

@@ -4,8 +4,6 @@ They take over the signals that end a node before rclpy is imported (half a seco
 would answer with a traceback) and import the node only then.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 import os

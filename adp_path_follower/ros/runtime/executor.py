@@ -1,7 +1,5 @@
 """An executor that answers messages and timers in place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Transforms between frames: tf2 where it is installed, behind one small protocol."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 from rclpy.node import Node

@@ -1,7 +1,5 @@
 """The log of a node, which must never hold the node up."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

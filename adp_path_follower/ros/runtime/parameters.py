@@ -1,7 +1,5 @@
 """A settings tree as ROS parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 

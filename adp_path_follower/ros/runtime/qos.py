@@ -1,7 +1,5 @@
 """Qualities of service of the nodes' topics, and messages that must arrive before an end."""
 
-from __future__ import annotations
-
 import time as steady
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Run a node until it is told to stop, and let it say its last words."""
 
-from __future__ import annotations
-
 import sys
 import time as steady
 from collections.abc import Callable
@@ -20,16 +18,10 @@ from adp_path_follower.ros.runtime.stop_request import StopRequest
 
 
 class RunnableNode(Protocol):
-    """A node that `run_node` can run: more than rclpy asks for.
+    """A node that `run_node` can run: more than rclpy asks for."""
 
-    Attributes:
-        finished: Whether it has nothing more to do.
-        failed: Whether that is because of an error that it has told of.
-
-    """
-
-    finished: bool
-    failed: bool
+    finished: bool  # whether it has nothing more to do
+    failed: bool  # whether that is because of an error that it has told of
 
     def lingers(self, elapsed: float) -> bool:
         """Return whether to go on for now, so long [s] after the node should have ended."""

@@ -1,7 +1,5 @@
 """Guards services against bad requests and logs failed lifecycle transitions."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Requests to end a node: a signal, or the death of the process that started it."""
 
-from __future__ import annotations
-
 import os
 import signal
 from types import FrameType

@@ -1,7 +1,5 @@
 """The controller beside its peers: the same starts, the same paths, the same cost."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Sequence

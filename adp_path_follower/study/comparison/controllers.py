@@ -6,8 +6,6 @@ bend; on the paper's figure eight from its beginning, |s|, |y| <= 1 m and |theta
 start, v_des = 0.5 m/s, no limits.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -188,22 +186,13 @@ def known_controllers() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Contender:
-    """One controller and how it is run.
+    """One controller and how it is run."""
 
-    Attributes:
-        name: As in `CONTROLLERS`.
-        settings: Settings of the controller.
-        factory: Makes it.
-        learning: How it starts: "cold" or "warm".
-        rate: Control steps per second [Hz].
-
-    """
-
-    name: str
-    settings: Settings
-    factory: ControllerFactory
-    learning: str
-    rate: float
+    name: str  # as in `CONTROLLERS`
+    settings: Settings  # settings of the controller
+    factory: ControllerFactory  # makes it
+    learning: str  # how it starts: "cold" or "warm"
+    rate: float  # control steps per second [Hz]
 
 
 def contenders(settings: Settings, names: Sequence[str]) -> list[Contender]:

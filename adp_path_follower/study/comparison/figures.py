@@ -1,7 +1,5 @@
 """Figures of the comparison with the peers."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path as FilePath
 

@@ -1,7 +1,5 @@
 """Controller, simulator, path publisher and recorder as processes, in lock-step."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable
@@ -31,18 +29,11 @@ _REAL_TIME = {"path_start": "beginning"}
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run is.
+    """Where a run is."""
 
-    Attributes:
-        time: Simulated time since the start [s].
-        error: e = [s, y, theta], shape (3,).
-        target_pose: Pose of the virtual target, shape (3,).
-
-    """
-
-    time: float
-    error: FloatArray
-    target_pose: FloatArray
+    time: float  # simulated time since the start [s]
+    error: FloatArray  # e = [s, y, theta], shape (3,)
+    target_pose: FloatArray  # pose of the virtual target, shape (3,)
 
 
 def run_closed_loop(

@@ -1,7 +1,5 @@
 """Start nodes as processes on a DDS domain of their own, and end all of them."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -6,8 +6,6 @@ state given at the start and the costates zero at the end. It is written in the 
 itself; nothing is shared with the transcription but the guess.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,16 +21,10 @@ _CURVATURE_STEP = 1e-4  # [m] of the central difference that gives the change of
 
 @dataclass(frozen=True)
 class Extremal:
-    """A solution of the necessary conditions.
+    """A solution of the necessary conditions."""
 
-    Attributes:
-        cost: J.
-        costates: Gradient of the value by s, y, theta, s_p at the start, shape (4,).
-
-    """
-
-    cost: float
-    costates: FloatArray
+    cost: float  # J
+    costates: FloatArray  # gradient of the value by s, y, theta, s_p at the start, shape (4,)
 
 
 def solve_costates(problem: Problem, motion: Motion) -> Extremal:

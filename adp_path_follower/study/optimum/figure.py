@@ -1,7 +1,5 @@
 """Optimal motions as a figure."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import matplotlib as mpl

@@ -1,7 +1,5 @@
 """The stored optimum of the paper's problem, and costs compared with it."""
 
-from __future__ import annotations
-
 import importlib.resources
 import json
 import math

@@ -1,7 +1,5 @@
 """Figures of what the paper does not show: the long run and the theorem's quantities."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import numpy as np

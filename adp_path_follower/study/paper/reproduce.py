@@ -4,8 +4,6 @@ Two questions are answered with numbers: how near do the printed laws come to th
 the printed constants meet the conditions of the paper's own stability theorem?
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -42,78 +40,44 @@ _VISITED = np.concatenate([np.arange(0.0, 4.0, 0.25), np.arange(4.0, 12.5, 1.0)]
 
 @dataclass(frozen=True)
 class PaperRun:
-    """The printed laws with one choice of what the paper leaves open.
+    """The printed laws with one choice of what the paper leaves open."""
 
-    Attributes:
-        name: The choice, in words.
-        settings: Settings of the run.
-        cost: J over 40 s.
-        state_distance: RMS distance of e to the optimum's over 40 s.
-        input_distance: RMS distance of u to the optimum's over 40 s.
-        trajectories: The run.
-
-    """
-
-    name: str
-    settings: Settings
-    cost: float
-    state_distance: float
-    input_distance: float
-    trajectories: Trajectories
+    name: str  # the choice, in words
+    settings: Settings  # settings of the run
+    cost: float  # J over 40 s
+    state_distance: float  # RMS distance of e to the optimum's over 40 s
+    input_distance: float  # RMS distance of u to the optimum's over 40 s
+    trajectories: Trajectories  # the run
 
 
 @dataclass(frozen=True)
 class Theorem:
-    """The quantities of the paper's stability theorem along a run.
+    """The quantities of the paper's stability theorem along a run."""
 
-    Attributes:
-        time: Times at which the value function was evaluated [s], shape (M,).
-        value: V* at the states visited then, shape (M,).
-        residual: Norm of eps' = dV*/dzeta - sigma'^T W* there, shape (M,).
-        ideal_weights: W*, the weights that fit dV*/dzeta best on the visited states, shape (L,).
-        lyapunov: V* + |W* - Wc|^2 / 2 + |W* - Wa|^2 / 2, shape (M,).
-        drift_bound: L_f, the largest |f(zeta)| / |zeta| over the visited states.
-        excitation_time: Shape (T,) [s].
-        excitation: Smallest singular value of the rank condition's matrix, shape (T,).
-        excitation_needed: Bound that the second gain condition sets.
-        cost_needed: Bound of the first gain condition for the least eigenvalue of Q.
-        least_state_cost: That eigenvalue, q_min.
-
-    """
-
-    time: FloatArray
-    value: FloatArray
-    residual: FloatArray
+    time: FloatArray  # times at which the value function was evaluated [s], shape (M,)
+    value: FloatArray  # V* at the states visited then, shape (M,)
+    residual: FloatArray  # norm of eps' = dV*/dzeta - sigma'^T W* there, shape (M,)
+    # W*, the weights that fit dV*/dzeta best on the visited states, shape (L,).
     ideal_weights: FloatArray
-    lyapunov: FloatArray
-    drift_bound: float
-    excitation_time: FloatArray
-    excitation: FloatArray
-    excitation_needed: float
-    cost_needed: float
-    least_state_cost: float
+    lyapunov: FloatArray  # V* + |W* - Wc|^2 / 2 + |W* - Wa|^2 / 2, shape (M,)
+    drift_bound: float  # L_f, the largest |f(zeta)| / |zeta| over the visited states
+    excitation_time: FloatArray  # shape (T,) [s]
+    excitation: FloatArray  # smallest singular value of the rank condition's matrix, shape (T,)
+    excitation_needed: float  # bound that the second gain condition sets
+    cost_needed: float  # bound of the first gain condition for the least eigenvalue of Q
+    least_state_cost: float  # that eigenvalue, q_min
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything that `reproduce` finds.
+    """Everything that `reproduce` finds."""
 
-    Attributes:
-        path: The paper's figure eight.
-        optimum: The offline optimum.
-        runs: The initial weights without learning, then each grid.
-        shipped: The one of them with the grid of config/paper.yaml.
-        long_runs: Each grid, for long.
-        theorem: The theorem's quantities along the shipped run.
-
-    """
-
-    path: Path
-    optimum: ReferenceMotion
-    runs: tuple[PaperRun, ...]
-    shipped: PaperRun
-    long_runs: tuple[PaperRun, ...]
-    theorem: Theorem
+    path: Path  # the paper's figure eight
+    optimum: ReferenceMotion  # the offline optimum
+    runs: tuple[PaperRun, ...]  # the initial weights without learning, then each grid
+    shipped: PaperRun  # the one of them with the grid of config/paper.yaml
+    long_runs: tuple[PaperRun, ...]  # each grid, for long
+    theorem: Theorem  # the theorem's quantities along the shipped run
 
 
 def reproduce(

@@ -1,7 +1,5 @@
 """Drive a recorded run again with a simulated robot, so that the effect on the motion shows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The figures of a replayed run."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import matplotlib as mpl

@@ -1,7 +1,5 @@
 """Drive as a recorded controller did, through all that changed meanwhile."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

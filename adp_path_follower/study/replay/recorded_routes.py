@@ -1,7 +1,5 @@
 """The routes that a controller made of the paths in a bag."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

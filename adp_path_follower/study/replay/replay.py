@@ -1,7 +1,5 @@
 """Feed what a recorded run measured to `PathFollower` again."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -23,42 +21,25 @@ _LATE = 100_000_000  # [ns] beyond the usual: a pose that was delivered long aft
 
 @dataclass(frozen=True)
 class Steps:
-    """The control steps of a run.
+    """The control steps of a run."""
 
-    Attributes:
-        stamp: Time of each [ns], shape (N,).
-        pose: x, y, theta that it went by, shape (N, 3).
-        arrival: When that was recorded [ns], shape (N,).
-
-    """
-
-    stamp: np.ndarray
-    pose: FloatArray
-    arrival: np.ndarray
+    stamp: np.ndarray  # time of each [ns], shape (N,)
+    pose: FloatArray  # x, y, theta that it went by, shape (N, 3)
+    arrival: np.ndarray  # when that was recorded [ns], shape (N,)
 
 
 @dataclass(frozen=True)
 class Replay:
-    """The replay of a run by `PathFollower`.
+    """The replay of a run by `PathFollower`."""
 
-    Attributes:
-        follower: The follower after the run, of the last segment that was driven.
-        settings: The settings after the run.
-        steps: The control steps, N of them.
-        recorded: The commands [v, w] in the bag, NaN where a step has none, shape (N, 2).
-        outputs: Outputs of the follower, one for each step.
-        cost: J at each step, shape (N,).
-        configurations: Number of a step and what the controller would have said before it, of the
-            first and of each that something changed before.
-
-    """
-
-    follower: PathFollower
-    settings: Settings
-    steps: Steps
-    recorded: FloatArray
-    outputs: list[FollowerOutput]
-    cost: FloatArray
+    follower: PathFollower  # the follower after the run, of the last segment that was driven
+    settings: Settings  # the settings after the run
+    steps: Steps  # the control steps, N of them
+    recorded: FloatArray  # the commands [v, w] in the bag, NaN where a step has none, shape (N, 2)
+    outputs: list[FollowerOutput]  # outputs of the follower, one for each step
+    cost: FloatArray  # J at each step, shape (N,)
+    # Number of a step and what the controller would have said before it, of the first and of each
+    # that something changed before.
     configurations: tuple[tuple[int, str], ...]
 
     @property

@@ -1,7 +1,5 @@
 """Play the odometry and the path of a bag to a live controller, with the bag's clock."""
 
-from __future__ import annotations
-
 import time as steady
 from collections.abc import Callable, Mapping
 from pathlib import Path as FilePath

@@ -1,7 +1,5 @@
 """Whether a replay learns the weights that a controller recorded."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,37 +14,23 @@ _KINDS = ("critic", "actor")
 
 @dataclass(frozen=True)
 class WeightDifference:
-    """Where recorded and replayed weights first differ.
+    """Where recorded and replayed weights first differ."""
 
-    Attributes:
-        step: Number of the control step.
-        name: Weight that differs most in it, as "critic weight s²".
-        recorded: In the bag.
-        replayed: In the replay.
-
-    """
-
-    step: int
-    name: str
-    recorded: float
-    replayed: float
+    step: int  # number of the control step
+    name: str  # weight that differs most in it, as "critic weight s²"
+    recorded: float  # in the bag
+    replayed: float  # in the replay
 
 
 @dataclass(frozen=True)
 class ComparedWeights:
-    """How recorded and replayed weights compare.
+    """How recorded and replayed weights compare."""
 
-    Attributes:
-        identical: For each recorded set whether it comes out the same to the last bit, those of the
-            critic first, shape (N,); no rows where there is nothing to compare.
-        first: The first difference, None without one.
-        notes: Sentences about data that were not compared.
-
-    """
-
+    # For each recorded set whether it comes out the same to the last bit, those of the critic
+    # first, shape (N,); no rows where there is nothing to compare.
     identical: np.ndarray
-    first: WeightDifference | None
-    notes: tuple[str, ...]
+    first: WeightDifference | None  # the first difference, None without one
+    notes: tuple[str, ...]  # sentences about data that were not compared
 
 
 def compare_weights(run: Run, found: Replay) -> ComparedWeights:

@@ -1,7 +1,5 @@
 """Write what a replay found as a bag, which is analysed like any other."""
 
-from __future__ import annotations
-
 import heapq
 import math
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """The simulated robot as settings say it is, where no simulator node runs."""
 
-from __future__ import annotations
-
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.settings.schema import flatten, setting_fields
 from sim_unicycle.fault_script import FaultScript, read_fault_script

@@ -1,7 +1,5 @@
 """The closed loop of `PathFollower` and the unicycle without ROS, many starts at once."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The course of simulated runs, step by step."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Findings of a tuning: the best settings, their gain, and the settings that matter."""
 
-from __future__ import annotations
-
 import warnings
 from collections import Counter
 from dataclasses import asdict, dataclass
@@ -31,29 +29,21 @@ _AT_END = 0.02  # of a range: its end
 
 @dataclass(frozen=True)
 class Findings:
-    """Result of a tuning.
+    """Result of a tuning."""
 
-    Attributes:
-        tuning: The tuning.
-        before: Score of the settings before.
-        stable: Trials that are stable on every run, the best first by the first objective.
-        front: Stable trials that no other trial dominates; one trial for a single objective.
-        best: Trial of the front with the most even compromise; None if no trial is stable.
-        importance: Variation -> its share in what tells the best trials from the others
-            (PED-ANOVA), from 0 to 1; empty for too few trials.
-        trials: Number of trials.
-        refused: Sentence -> number of settings that the validation rejected with it.
-
-    """
-
-    tuning: Tuning
-    before: Score
+    tuning: Tuning  # the tuning
+    before: Score  # score of the settings before
+    # Trials that are stable on every run, the best first by the first objective.
     stable: tuple[FrozenTrial, ...]
+    # Stable trials that no other trial dominates; one trial for a single objective.
     front: tuple[FrozenTrial, ...]
+    # Trial of the front with the most even compromise; None if no trial is stable.
     best: FrozenTrial | None
+    # Variation -> its share in what tells the best trials from the others (PED-ANOVA), from 0 to 1;
+    # empty for too few trials.
     importance: dict[str, float]
-    trials: int
-    refused: dict[str, int]
+    trials: int  # number of trials
+    refused: dict[str, int]  # sentence -> number of settings that the validation rejected with it
 
     @property
     def unstable(self) -> int:

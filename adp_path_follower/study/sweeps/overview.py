@@ -1,7 +1,5 @@
 """Overview of a sweep: scores of each combination of settings, and the best one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -26,26 +24,17 @@ from adp_path_follower.study.sweeps.score import Score, score_of_runs
 
 @dataclass(frozen=True)
 class Overview:
-    """A sweep in numbers; the rows of the arrays are the C combinations of settings.
+    """A sweep in numbers; the rows of the arrays are the C combinations of settings."""
 
-    Attributes:
-        sweep: The sweep.
-        scores: All objectives: name -> values, shape (C,); NaN where a run is lost.
-        unstable: Number of runs that are not stable, shape (C,).
-        problems: Sentence -> number of runs that it made impossible.
-        best: Stable combination with the least first objective; None if all are unstable.
-        cases: Path, robot and score of the best settings on each path with each robot.
-        relative: Whether costs are J/J*; J otherwise.
-
-    """
-
-    sweep: Sweep
+    sweep: Sweep  # the sweep
+    # All objectives: name -> values, shape (C,); NaN where a run is lost.
     scores: Mapping[str, FloatArray]
-    unstable: np.ndarray
-    problems: Mapping[str, int]
-    best: int | None
+    unstable: np.ndarray  # number of runs that are not stable, shape (C,)
+    problems: Mapping[str, int]  # sentence -> number of runs that it made impossible
+    best: int | None  # stable combination with the least first objective; None if all are unstable
+    # Path, robot and score of the best settings on each path with each robot.
     cases: tuple[tuple[str, str, Score], ...]
-    relative: bool
+    relative: bool  # whether costs are J/J*; J otherwise
 
     @property
     def ranked(self) -> np.ndarray:

@@ -1,7 +1,5 @@
 """The report of a sweep: one HTML file that opens without network."""
 
-from __future__ import annotations
-
 import html
 import itertools
 import math

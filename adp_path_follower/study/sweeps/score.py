@@ -1,7 +1,5 @@
 """The score of settings: numbers over all runs with them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -21,28 +19,16 @@ UNSTABLE_SCORE = 1e9  # stands for no number: a run is lost, or never settles
 
 @dataclass(frozen=True)
 class Score:
-    """Numbers over all runs with the same settings.
+    """Numbers over all runs with the same settings."""
 
-    Attributes:
-        objectives: All objectives: name -> value.
-        runs: Number of runs.
-        unstable: Number of runs that are not stable.
-        relative: Whether costs are J/J*; J otherwise.
-        median: Median of the costs.
-        high: 95 % quantile of the costs.
-        largest: Greatest cost.
-        problem: Why runs were impossible, empty if all were possible.
-
-    """
-
-    objectives: dict[str, float]
-    runs: int
-    unstable: int
-    relative: bool
-    median: float
-    high: float
-    largest: float
-    problem: str
+    objectives: dict[str, float]  # all objectives: name -> value
+    runs: int  # number of runs
+    unstable: int  # number of runs that are not stable
+    relative: bool  # whether costs are J/J*; J otherwise
+    median: float  # median of the costs
+    high: float  # 95 % quantile of the costs
+    largest: float  # greatest cost
+    problem: str  # why runs were impossible, empty if all were possible
 
 
 def score_runs(sweep: Sweep) -> Score:

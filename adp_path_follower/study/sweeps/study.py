@@ -1,7 +1,5 @@
 """The Optuna study of a tuning: proposes settings and stores the trials."""
 
-from __future__ import annotations
-
 import warnings
 from collections import deque
 from collections.abc import Callable, Mapping

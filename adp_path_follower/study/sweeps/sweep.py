@@ -1,7 +1,5 @@
 """Runs a sweep, and writes its results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path as FilePath
 

@@ -1,7 +1,5 @@
 """The nonlinear law with a virtual target by Lapierre, Soetanto and Pascoal."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -15,22 +13,14 @@ from adp_path_follower.study.comparison.peers.peer import PeerController
 
 @dataclass(frozen=True)
 class LapierreSoetantoGains:
-    """Numbers of the law.
+    """Numbers of the law."""
 
-    Attributes:
-        approach_angle: Heading error wanted far from the path [rad], below pi / 2.
-        approach_gain: How fast it is reached with the cross-track error [1/m].
-        heading_gain: Rate at which the heading follows [1/s].
-        coupling: gamma, weight of the cross-track error in the turn [1/m^2].
-        speed_gain: How much slower a robot drives that is ahead of its target [1/s].
-
-    """
-
+    # Heading error wanted far from the path [rad], below pi / 2.
     approach_angle: float = math.pi / 4.0
-    approach_gain: float = 1.0
-    heading_gain: float = 1.0
-    coupling: float = 1.0
-    speed_gain: float = 0.0
+    approach_gain: float = 1.0  # how fast it is reached with the cross-track error [1/m]
+    heading_gain: float = 1.0  # rate at which the heading follows [1/s]
+    coupling: float = 1.0  # gamma, weight of the cross-track error in the turn [1/m^2]
+    speed_gain: float = 0.0  # how much slower a robot drives that is ahead of its target [1/s]
 
 
 class LapierreSoetanto(PeerController):

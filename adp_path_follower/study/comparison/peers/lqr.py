@@ -1,7 +1,5 @@
 """The linear-quadratic regulator, scheduled by curvature."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

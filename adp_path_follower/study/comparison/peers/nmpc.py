@@ -3,8 +3,6 @@
 Needs the extra `optimum` (CasADi).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

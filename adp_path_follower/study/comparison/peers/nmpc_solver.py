@@ -52,16 +52,11 @@ _SQP = {
 
 @dataclass(frozen=True)
 class Plan:
-    """A predicted motion.
+    """A predicted motion."""
 
-    Attributes:
-        state: s [m], y [m], theta [rad], s_p [m] before and after each step, shape (N + 1, 4).
-        command: [v, w] that is held over each step [m/s, rad/s], shape (N, 2).
-
-    """
-
+    # s [m], y [m], theta [rad], s_p [m] before and after each step, shape (N + 1, 4).
     state: FloatArray
-    command: FloatArray
+    command: FloatArray  # [v, w] that is held over each step [m/s, rad/s], shape (N, 2)
 
     def after(self, time: float) -> Plan:
         """Return the plan from a time [s] on, its last command held beyond its end."""

@@ -1,7 +1,5 @@
 """The base of all peers: the virtual target that gives their error and cost."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import numpy as np

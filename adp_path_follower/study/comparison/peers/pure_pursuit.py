@@ -1,7 +1,5 @@
 """Pure pursuit, plain and regulated as in Nav2."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -58,32 +56,20 @@ class TunedPurePursuit(PurePursuit):
 
 @dataclass(frozen=True)
 class RegulationRules:
-    """Nav2's parameters of the rules, with the defaults that it publishes and by its names.
+    """Nav2's parameters of the rules, with the defaults that it publishes and by its names."""
 
-    Attributes:
-        lookahead_dist: Look-ahead distance where it does not depend on speed [m].
-        use_velocity_scaled_lookahead_dist: Whether it does.
-        lookahead_time: Look-ahead distance by speed [s].
-        min_lookahead_dist: Least one by speed [m].
-        max_lookahead_dist: Greatest one by speed [m].
-        regulated_linear_scaling_min_radius: Turning radius below which the robot slows down [m].
-        regulated_linear_scaling_min_speed: Speed that it keeps [m/s].
-        rotate_to_heading_min_angle: Angle to the point ahead beyond which it turns in place [rad].
-        rotate_to_heading_angular_vel: Speed of that turn [rad/s].
-        max_angular_accel: Acceleration of that turn [rad/s^2].
-
-    """
-
-    lookahead_dist: float = 0.6
-    use_velocity_scaled_lookahead_dist: bool = False
-    lookahead_time: float = 1.5
-    min_lookahead_dist: float = 0.3
-    max_lookahead_dist: float = 0.9
+    lookahead_dist: float = 0.6  # look-ahead distance where it does not depend on speed [m]
+    use_velocity_scaled_lookahead_dist: bool = False  # whether it does
+    lookahead_time: float = 1.5  # look-ahead distance by speed [s]
+    min_lookahead_dist: float = 0.3  # least one by speed [m]
+    max_lookahead_dist: float = 0.9  # greatest one by speed [m]
+    # Turning radius below which the robot slows down [m].
     regulated_linear_scaling_min_radius: float = 0.9
-    regulated_linear_scaling_min_speed: float = 0.25
+    regulated_linear_scaling_min_speed: float = 0.25  # speed that it keeps [m/s]
+    # Angle to the point ahead beyond which it turns in place [rad].
     rotate_to_heading_min_angle: float = 0.785
-    rotate_to_heading_angular_vel: float = 1.8
-    max_angular_accel: float = 3.2
+    rotate_to_heading_angular_vel: float = 1.8  # speed of that turn [rad/s]
+    max_angular_accel: float = 3.2  # acceleration of that turn [rad/s^2]
 
 
 class RegulatedPurePursuit(PeerController):

@@ -1,7 +1,5 @@
 """Stanley's steering law, on a virtual bicycle."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -15,22 +13,13 @@ from adp_path_follower.study.comparison.peers.peer import PeerController
 
 @dataclass(frozen=True)
 class StanleyGains:
-    """Numbers of the law.
+    """Numbers of the law."""
 
-    Attributes:
-        position_gain: k [1/s], on the cross-track error.
-        wheelbase: Wheelbase of the virtual bicycle whose rear axle is the robot's [m].
-        max_steering: Greatest steering angle [rad].
-        at_front_axle: Whether errors are taken at the front axle, or at the robot.
-        curvature_feedforward: Whether the path's curvature is steered, too.
-
-    """
-
-    position_gain: float = 2.5
-    wheelbase: float = 0.3
-    max_steering: float = math.radians(35.0)
-    at_front_axle: bool = True
-    curvature_feedforward: bool = False
+    position_gain: float = 2.5  # k [1/s], on the cross-track error
+    wheelbase: float = 0.3  # wheelbase of the virtual bicycle whose rear axle is the robot's [m]
+    max_steering: float = math.radians(35.0)  # greatest steering angle [rad]
+    at_front_axle: bool = True  # whether errors are taken at the front axle, or at the robot
+    curvature_feedforward: bool = False  # whether the path's curvature is steered, too
 
 
 def steering_angle(

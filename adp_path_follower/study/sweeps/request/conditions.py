@@ -1,7 +1,5 @@
 """The conditions of the runs: starts, paths, robots, noise and duration."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.resources
 import math
@@ -81,20 +79,13 @@ class _RandomStartsEntry:
 
 @dataclass(frozen=True)
 class PathSource:
-    """A path by its name; a path file with its points, so that other machines need no file.
+    """A path by its name; a path file with its points, so that other machines need no file."""
 
-    Attributes:
-        name: Built-in name or file, as in the request.
-        digest: Digest of the points, empty for built-in paths.
-        points: Shape (N, 2), None for built-in paths.
-        closed: Whether the file says that the path is closed.
-
-    """
-
-    name: str
-    digest: str = ""
+    name: str  # built-in name or file, as in the request
+    digest: str = ""  # digest of the points, empty for built-in paths
+    # Shape (N, 2), None for built-in paths.
     points: FloatArray | None = field(default=None, compare=False, repr=False)
-    closed: bool | None = None
+    closed: bool | None = None  # whether the file says that the path is closed
 
     def path(self, settings: PathSettings) -> Path:
         """Return the path, prepared as the controller does; PathError if the points make none."""
@@ -126,27 +117,17 @@ class Robot:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Everything about the runs except the settings that are varied.
+    """Everything about the runs except the settings that are varied."""
 
-    Attributes:
-        settings: The settings before anything is varied. J and effort are counted with their cost,
-            whatever the controller's own cost.
-        starts: Initial errors [s, y, theta], shape (B, 3).
-        forty: Whether these are the forty starts of the reference.
-        paths: Paths that are followed.
-        robots: Robots that follow them.
-        noise_seeds: Numbers of the noise sequences.
-        run: Duration, rate and learning of the runs.
-
-    """
-
+    # The settings before anything is varied. J and effort are counted with their cost, whatever the
+    # controller's own cost.
     settings: Settings
-    starts: FloatArray
-    forty: bool
-    paths: tuple[PathSource, ...]
-    robots: tuple[Robot, ...]
-    noise_seeds: tuple[int, ...]
-    run: RunSettings
+    starts: FloatArray  # initial errors [s, y, theta], shape (B, 3)
+    forty: bool  # whether these are the forty starts of the reference
+    paths: tuple[PathSource, ...]  # paths that are followed
+    robots: tuple[Robot, ...]  # robots that follow them
+    noise_seeds: tuple[int, ...]  # numbers of the noise sequences
+    run: RunSettings  # duration, rate and learning of the runs
 
     def description(self) -> dict[str, object]:
         """Return everything that the results depend on, ready for JSON."""

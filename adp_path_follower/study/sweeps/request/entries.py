@@ -1,7 +1,5 @@
 """Reads the entries of sweep and tuning files; errors name the file and the section."""
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 from collections.abc import Iterator, Mapping, Sequence

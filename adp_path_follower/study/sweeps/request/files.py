@@ -1,7 +1,5 @@
 """Reads SWEEP.yaml and TUNE.yaml."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Measures of good settings: one number each over all runs with them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,20 +11,12 @@ Columns = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Objective:
-    """A number that is to be small.
+    """A number that is to be small."""
 
-    Attributes:
-        name: As files name it.
-        meaning: In words.
-        unit: Unit of the number.
-        of: Returns it from the columns of all runs with the same settings.
-
-    """
-
-    name: str
-    meaning: str
-    unit: str
-    of: Callable[[Columns], float]
+    name: str  # as files name it
+    meaning: str  # in words
+    unit: str  # unit of the number
+    of: Callable[[Columns], float]  # returns it from the columns of all runs with the same settings
 
 
 def cost_column(columns: Columns) -> np.ndarray:

@@ -1,7 +1,5 @@
 """Variations of a setting: listed values, or a range of numbers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -41,22 +39,13 @@ class Listed:
 
 @dataclass(frozen=True)
 class Range:
-    """A range of a setting, or of one number of a list.
+    """A range of a setting, or of one number of a list."""
 
-    Attributes:
-        field: The setting.
-        item: Place in the list; None for a setting that is one number.
-        low: Lowest value.
-        high: Highest value.
-        log: Whether the logarithm of the value is varied evenly.
-
-    """
-
-    field: SettingField
-    item: int | None
-    low: float
-    high: float
-    log: bool
+    field: SettingField  # the setting
+    item: int | None  # place in the list; None for a setting that is one number
+    low: float  # lowest value
+    high: float  # highest value
+    log: bool  # whether the logarithm of the value is varied evenly
 
     @property
     def name(self) -> str:

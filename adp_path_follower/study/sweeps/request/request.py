@@ -1,7 +1,5 @@
 """Sweeps and tunings: which settings are tried under which conditions."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -21,18 +19,11 @@ from adp_path_follower.study.sweeps.request.ranges import Listed, Range, Variati
 
 @dataclass(frozen=True)
 class Request:
-    """Settings to try under given conditions.
+    """Settings to try under given conditions."""
 
-    Attributes:
-        conditions: Starts, paths, robots, noise; the settings before.
-        variations: Varied settings, in the order of the table's columns.
-        objectives: Names of the numbers that are to be small; the first one ranks.
-
-    """
-
-    conditions: Conditions
-    variations: tuple[Variation, ...]
-    objectives: tuple[str, ...]
+    conditions: Conditions  # starts, paths, robots, noise; the settings before
+    variations: tuple[Variation, ...]  # varied settings, in the order of the table's columns
+    objectives: tuple[str, ...]  # names of the numbers that are to be small; the first one ranks
 
     def settings_with(self, values: Mapping[str, Value]) -> Settings:
         """Return the settings with these values; SettingsError if they do not fit each other."""
@@ -58,15 +49,10 @@ class Sweep(Request):
     Listed values are all combined, and each combination is tried at each point of the ranges. Run
     number n goes through noise and starts first (starts fastest), then robots, paths, and the
     combinations of settings last. The first two objectives make the Pareto front.
-
-    Attributes:
-        points: Sobol points in the ranges, shape (S, R); (1, 0) without ranges.
-        samples_seed: Seed of the points.
-
     """
 
-    points: FloatArray
-    samples_seed: int = 0
+    points: FloatArray  # Sobol points in the ranges, shape (S, R); (1, 0) without ranges
+    samples_seed: int = 0  # seed of the points
 
     @property
     def combinations(self) -> int:
@@ -131,14 +117,9 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class Tuning(Request):
-    """A search for settings; with several objectives, for a Pareto front.
+    """A search for settings; with several objectives, for a Pareto front."""
 
-    Attributes:
-        search: Extent of the search.
-
-    """
-
-    search: SearchSettings
+    search: SearchSettings  # extent of the search
 
     def runs_with(self, settings: Settings) -> Sweep:
         """Return the runs of one trial: a sweep of one combination."""

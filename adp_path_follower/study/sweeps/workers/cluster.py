@@ -1,7 +1,5 @@
 """Workers on all cores of this machine, or on an existing Dask cluster."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import logging

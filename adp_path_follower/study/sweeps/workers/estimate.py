@@ -1,7 +1,5 @@
 """Estimates how long a sweep takes, from a few of its batches."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 
@@ -18,18 +16,11 @@ _SHORT, _LONG = 0.3, 0.9  # [s] of simulated time
 
 @dataclass(frozen=True)
 class Estimate:
-    """Expected computing time of a sweep.
+    """Expected computing time of a sweep."""
 
-    Attributes:
-        workers: Number of parts that run at once.
-        seconds: Computing time on all workers [s].
-        seconds_each: Computing time of a run on one worker [s].
-
-    """
-
-    workers: int
-    seconds: float
-    seconds_each: float
+    workers: int  # number of parts that run at once
+    seconds: float  # computing time on all workers [s]
+    seconds_each: float  # computing time of a run on one worker [s]
 
 
 def estimate(sweep: Sweep, address: str | None, count: int | None) -> Estimate:

@@ -1,7 +1,5 @@
 """The cost of the optimum, where it is known: that of the forty starts of the reference."""
 
-from __future__ import annotations
-
 import importlib.resources
 import math
 

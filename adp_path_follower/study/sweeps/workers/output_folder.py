@@ -1,7 +1,5 @@
 """The folder that a long piece of work writes: of that work only, and by one command at a time."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The results of a sweep as Parquet files, each written as a whole or not at all."""
 
-from __future__ import annotations
-
 import io
 import itertools
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Divides a sweep into parts: the work of one worker at a time, and the content of one file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,18 +12,11 @@ from adp_path_follower.study.sweeps.workers.runs import MOST_AT_ONCE, Batch, Col
 
 @dataclass(frozen=True)
 class Part:
-    """Consecutive runs of a sweep.
+    """Consecutive runs of a sweep."""
 
-    Attributes:
-        number: From 0.
-        batches: Runs that are simulated, one after the other.
-        columns: Values that the runs share or vary: column name -> values, (N,).
-
-    """
-
-    number: int
-    batches: tuple[Batch, ...]
-    columns: Columns
+    number: int  # from 0
+    batches: tuple[Batch, ...]  # runs that are simulated, one after the other
+    columns: Columns  # values that the runs share or vary: column name -> values, (N,)
 
 
 class Plan:

@@ -1,7 +1,5 @@
 """Simulates a batch of runs on a worker, and measures them."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -27,30 +25,17 @@ MEASURES = ("cost", "cost_ratio", "effort", "cross_track_rms", "cross_track_max"
 
 @dataclass(frozen=True)
 class Batch:
-    """Runs that differ in start and noise only.
+    """Runs that differ in start and noise only."""
 
-    Attributes:
-        first_run: Number of the first run.
-        settings: Settings of the controller.
-        cost: Cost that J and effort are counted with.
-        source: Path to follow.
-        robot: Robot that follows it.
-        starts: Initial errors, shape (B, 3).
-        optimal_cost: J* of each run, shape (B,).
-        first_seed: Seed of the first run's noise; each next run has the next seed.
-        run: Duration, rate and learning.
-
-    """
-
-    first_run: int
-    settings: Settings
-    cost: CostSettings
-    source: PathSource
-    robot: Robot
-    starts: FloatArray
-    optimal_cost: FloatArray
-    first_seed: int
-    run: RunSettings
+    first_run: int  # number of the first run
+    settings: Settings  # settings of the controller
+    cost: CostSettings  # cost that J and effort are counted with
+    source: PathSource  # path to follow
+    robot: Robot  # robot that follows it
+    starts: FloatArray  # initial errors, shape (B, 3)
+    optimal_cost: FloatArray  # J* of each run, shape (B,)
+    first_seed: int  # seed of the first run's noise; each next run has the next seed
+    run: RunSettings  # duration, rate and learning
 
     def __len__(self) -> int:
         """Return the number of runs."""

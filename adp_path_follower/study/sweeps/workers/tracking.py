@@ -1,7 +1,5 @@
 """How near the robots keep to the path, looked at while they drive: nothing is stored."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -20,21 +18,14 @@ _LONGEST_STEP = 0.5  # [m] of the search for the place abreast, which starts at 
 
 @dataclass(frozen=True)
 class Tracking:
-    """How B runs kept to the path; places and angles are the true ones.
+    """How B runs kept to the path; places and angles are the true ones."""
 
-    Attributes:
-        cross_track_rms: RMS distance from the path after the transient [m], shape (B,).
-        cross_track_max: Greatest distance then [m], shape (B,).
-        settling_time: Until |e| to the virtual target stays below 0.05 [s], infinite where it does
-            not, shape (B,).
-        ends_on_path: Whether the run stays within 0.5 m of the path, and within a right angle of
-            its direction, over the last fifth of its time, shape (B,).
-
-    """
-
-    cross_track_rms: FloatArray
-    cross_track_max: FloatArray
+    cross_track_rms: FloatArray  # RMS distance from the path after the transient [m], shape (B,)
+    cross_track_max: FloatArray  # greatest distance then [m], shape (B,)
+    # Until |e| to the virtual target stays below 0.05 [s], infinite where it does not, shape (B,).
     settling_time: FloatArray
+    # Whether the run stays within 0.5 m of the path, and within a right angle of its direction,
+    # over the last fifth of its time, shape (B,).
     ends_on_path: np.ndarray
 
 
