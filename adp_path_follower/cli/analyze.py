@@ -5,13 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 import sys
-from datetime import datetime
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import FILE, given_topics, progress_bar, topic_options
+from adp_path_follower.cli.options import (
+    FILE,
+    given_topics,
+    out_option,
+    progress_bar,
+    topic_options,
+)
 from adp_path_follower.cli.outputs import output_directory, write_json
 from adp_path_follower.extras import require
 
@@ -22,14 +27,7 @@ if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to rep
 
 @click.command()
 @click.argument("bags", nargs=-1, required=True, type=FILE, metavar="BAG...")
-@click.option(
-    "--out",
-    "directory",
-    type=FILE,
-    metavar="DIR",
-    help="Where report, figures and numbers go: a new or empty directory (adp_report_DATE if it "
-    "is not given).",
-)
+@out_option("report", "report, figures and numbers")
 @topic_options
 @click.option(
     "--require",
@@ -40,7 +38,7 @@ if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to rep
 )
 def analyze(
     bags: tuple[FilePath, ...],
-    directory: FilePath | None,
+    directory: FilePath,
     odom: str | None,
     cmd: str | None,
     path: str | None,
@@ -68,7 +66,6 @@ def analyze(
 
     limits = [parse_requirement(text) for text in requirements]
     topics = given_topics(odom=odom, cmd=cmd, path=path)
-    directory = directory or FilePath(datetime.now().strftime("adp_report_%Y_%m_%d-%H_%M_%S"))
     analyses: list[BagAnalysis] = []
     with output_directory(directory):
         for number, (bag, name) in enumerate(zip(bags, names_of(bags), strict=True), start=1):

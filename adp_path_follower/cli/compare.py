@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from datetime import datetime
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +11,9 @@ import click
 import numpy as np
 
 from adp_path_follower.cli.options import (
-    FILE,
     collect_starts,
     load_simulator,
+    out_option,
     progress_bar,
     settings_options,
     simulator_options,
@@ -56,14 +55,7 @@ _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.i
 )
 @click.option("--list", "list_them", is_flag=True, help="Name the controllers, and end.")
 @click.option("--unlimited", is_flag=True, help="Without limits of the command.")
-@click.option(
-    "--out",
-    "directory",
-    type=FILE,
-    metavar="DIR",
-    help="Where table, figures and numbers go: a new or empty directory (adp_compare_DATE if it "
-    "is not given).",
-)
+@out_option("compare", "table, figures and numbers")
 def compare(
     params: FilePath | None,
     assignments: tuple[str, ...],
@@ -77,7 +69,7 @@ def compare(
     controllers: str | None,
     list_them: bool,
     unlimited: bool,
-    directory: FilePath | None,
+    directory: FilePath,
 ) -> None:
     r"""Compare the controller with its peers, and all with the offline optimum.
 
@@ -111,7 +103,6 @@ def compare(
     else:
         errors = np.asarray(read_csv_columns(FORTY_STARTS, ("s", "y", "theta")))
     paths = {name: named_path(name, settings.path) for name in path_names or ("lissajous",)}
-    directory = directory or FilePath(datetime.now().strftime("adp_compare_%Y_%m_%d-%H_%M_%S"))
     problems = []
     with output_directory(directory, keep=True):
         problems = _compare_on(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from datetime import datetime
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +11,8 @@ import click
 import numpy as np
 
 from adp_path_follower.cli.options import (
-    FILE,
     load_simulator,
+    out_option,
     path_option,
     settings_options,
     simulator_options,
@@ -38,14 +37,7 @@ if TYPE_CHECKING:
 @settings_options
 @simulator_options
 @path_option
-@click.option(
-    "--out",
-    "directory",
-    type=FILE,
-    metavar="DIR",
-    help="Where bag, figures and report go: a new or empty directory "
-    "(adp_demo_DATE if it is not given).",
-)
+@out_option("demo", "bag, figures and report")
 @click.option(
     "--duration",
     type=click.FloatRange(1.0, 3600.0),
@@ -59,7 +51,7 @@ def demo(
     sim_params: FilePath | None,
     sim_assignments: tuple[str, ...],
     path_name: str,
-    directory: FilePath | None,
+    directory: FilePath,
     duration: float,
 ) -> None:
     r"""Drive the paper's figure eight with real ROS 2 nodes.
@@ -82,9 +74,7 @@ def demo(
     read_fault_script(simulator.simulation.fault_script)
     path = named_path(path_name)
     require("adp demo", "jazzy")
-    directory = new_directory(
-        directory or FilePath(datetime.now().strftime("adp_demo_%Y_%m_%d-%H_%M_%S"))
-    )
+    new_directory(directory)
     started = time.monotonic()
     bag = _run(settings, simulator, path, path_name, duration, directory)
     _report(bag, directory, duration, time.monotonic() - started)

@@ -3,6 +3,7 @@
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
@@ -134,8 +135,20 @@ def start_options(command: Command) -> Command:
     )(command)
 
 
+def out_option(name: str, content: str) -> Callable[[Command], Command]:
+    """Add --out: a new or empty directory, by default named after the command and the date."""
+    return click.option(
+        "--out",
+        "directory",
+        type=FILE,
+        metavar="DIR",
+        default=lambda: datetime.now().strftime(f"adp_{name}_%Y_%m_%d-%H_%M_%S"),
+        help=f"Where {content} go: a new or empty directory (adp_{name}_DATE if it is not given).",
+    )
+
+
 def cluster_options(command: Command) -> Command:
-    """Add --scheduler, --workers and --dry-run."""
+    """Add --out, --scheduler, --workers and --dry-run."""
     command = click.option(
         "--dry-run", is_flag=True, help="Say how many runs there are and how long they take."
     )(command)
@@ -145,11 +158,18 @@ def cluster_options(command: Command) -> Command:
         metavar="N",
         help="Number of processes on this machine; as many as it has cores if not given.",
     )(command)
-    return click.option(
+    command = click.option(
         "--scheduler",
         metavar="ADDRESS",
         help="Run on the Dask cluster of this scheduler, as in tcp://host:8786, instead of all "
         "cores of this machine.",
+    )(command)
+    return click.option(
+        "--out",
+        "directory",
+        type=FILE,
+        metavar="DIR",
+        help="Where the results go: a new directory, or that of the same work, which then resumes.",
     )(command)
 
 

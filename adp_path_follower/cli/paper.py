@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import FILE, progress_bar
+from adp_path_follower.cli.options import (
+    out_option,
+    progress_bar,
+)
 from adp_path_follower.cli.outputs import new_directory, write_json
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
@@ -16,15 +18,8 @@ if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
 
 
 @click.command()
-@click.option(
-    "--out",
-    "directory",
-    type=FILE,
-    metavar="DIR",
-    help="Where figures and numbers go: a new or empty directory (adp_paper_DATE if it is not "
-    "given).",
-)
-def paper(directory: FilePath | None) -> None:
+@out_option("paper", "figures and numbers")
+def paper(directory: FilePath) -> None:
     """Reproduce the paper's figures, and what they do not show.
 
     Simulates the paper's run with its printed laws and constants and each width of the sample
@@ -34,9 +29,7 @@ def paper(directory: FilePath | None) -> None:
     """
     from adp_path_follower.study.paper.reproduce import reproduce
 
-    directory = new_directory(
-        directory or FilePath(datetime.now().strftime("adp_paper_%Y_%m_%d-%H_%M_%S"))
-    )
+    new_directory(directory)
     with progress_bar("simulating and optimising") as progress:
         found = reproduce(progress)
     from adp_path_follower.study.paper.figures import draw_paper

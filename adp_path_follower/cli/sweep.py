@@ -17,13 +17,6 @@ if TYPE_CHECKING:  # Dask and pyarrow are loaded when there is something to run
 
 @click.command()
 @click.argument("file", type=FILE, metavar="SWEEP.yaml")
-@click.option(
-    "--out",
-    "directory",
-    type=FILE,
-    metavar="DIR",
-    help="Where the results go: a new directory, or that of the same sweep, which then goes on.",
-)
 @cluster_options
 def sweep(
     file: FilePath,
@@ -79,7 +72,7 @@ def _run(
     asked: Sweep, title: str, directory: FilePath, scheduler: str | None, workers: int | None
 ) -> None:
     from adp_path_follower.study.sweeps.overview import overview, summary_text
-    from adp_path_follower.study.sweeps.sweep import run_missing, write_results
+    from adp_path_follower.study.sweeps.page import write_results
     from adp_path_follower.study.sweeps.workers import cluster
     from adp_path_follower.study.sweeps.workers.estimate import in_words
     from adp_path_follower.study.sweeps.workers.parts_folder import PartsFolder
@@ -98,7 +91,7 @@ def _run(
                 cluster.workers(scheduler, workers) as found_workers,
                 progress_bar(f"simulating {fresh:,} runs") as progress,
             ):
-                run_missing(folder, missing, found_workers, progress)
+                folder.run(missing, found_workers, progress)
         found = overview(asked, folder.combinations())
     spent = time.monotonic() - begun
     click.echo(summary_text(found))

@@ -43,13 +43,6 @@ if TYPE_CHECKING:  # Dask and Optuna are loaded when there is something to run
 )
 @click.option("--trials", type=click.IntRange(1), metavar="N", help="Number of settings to try.")
 @click.option(
-    "--out",
-    "directory",
-    type=FILE,
-    metavar="DIR",
-    help="Where the results go: a new directory, or that of the same tuning, which then goes on.",
-)
-@click.option(
     "--storage",
     metavar="URL",
     help="Database of the trials, as in postgresql://user@host/name; machines with the same "

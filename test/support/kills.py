@@ -114,13 +114,22 @@ def kill_and_recover(kill: Kill, start: int, domain: int, folder: FilePath) -> O
     recorder = NodeProcess("recorder", settings, log=folder / "recorder.log", domain=domain)
     try:
         for topic in topics:
-            recorder.wait_for_output(f"recording {topic}\n", _READY)
+            _wait_for_output(recorder, f"recording {topic}\n")
         time.sleep(kill.after)
     finally:
         killed_at = time.time_ns()
         recorder.stop(signal.SIGKILL)
     saved = recover(bag)
     return _judged(saved.bag, start, killed_at, _begun(recorder.output()))
+
+
+def _wait_for_output(node: NodeProcess, text: str) -> None:
+    """Wait until a node has printed a text."""
+    end = time.monotonic() + _READY
+    while text not in node.output():
+        assert node.process.poll() is None, node.last_line()
+        assert time.monotonic() < end, f"{node.name} did not say '{text}' in {_READY:g} s"
+        time.sleep(0.02)
 
 
 def _begun(log: str) -> dict[str, int]:

@@ -3,7 +3,7 @@
 import sys
 import time as steady
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -17,31 +17,18 @@ from adp_path_follower.ros.runtime.log_output import unblocked_stderr
 from adp_path_follower.ros.runtime.stop_request import StopRequest
 
 
-class RunnableNode(Protocol):
-    """A node that `run_node` can run: more than rclpy asks for."""
+class Ending:
+    """How most nodes end: at once, unless they override this; `run_node` needs it."""
 
-    finished: bool  # whether it has nothing more to do
-    failed: bool  # whether that is because of an error that it has told of
+    finished = False  # whether the node has nothing more to do
+    failed = False  # whether that is because of an error that it has logged
 
     def lingers(self, elapsed: float) -> bool:
         """Return whether to go on for now, so long [s] after the node should have ended."""
-
-    def last_words(self) -> None:
-        """Publish what must be said before the node goes; called once, whatever happened."""
-
-
-class Ending:
-    """How most nodes end: at once."""
-
-    finished = False
-    failed = False
-
-    def lingers(self, elapsed: float) -> bool:
-        """Return False: there is nothing to wait for."""
         return False
 
     def last_words(self) -> None:
-        """Say nothing."""
+        """Publish the last messages before the node goes; called once, also after an error."""
 
 
 def run_node(name: str, make_node: Callable[[], Node]) -> int:

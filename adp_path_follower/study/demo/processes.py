@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path as FilePath
 
@@ -88,16 +87,6 @@ class NodeProcess:
     def output(self) -> str:
         """Return what the node has printed so far."""
         return self.log.read_text(encoding="utf-8", errors="replace")
-
-    def wait_for_output(self, text: str, timeout: float) -> None:
-        """Wait until the node has printed a text; AdpError if it ends, or after the timeout [s]."""
-        deadline = time.monotonic() + timeout
-        while text not in self.output():
-            if self.process.poll() is not None:
-                raise AdpError(f"{self.name} ended early: {self.last_line()}")
-            if time.monotonic() > deadline:
-                raise AdpError(f"{self.name} did not say '{text}' in {timeout:g} s: {self.log}")
-            time.sleep(0.02)
 
     def last_line(self) -> str:
         """Return the last line that the node printed."""

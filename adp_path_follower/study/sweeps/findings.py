@@ -17,9 +17,9 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import Value, flatten
 from adp_path_follower.study.sweeps.overview import shown, write_settings
+from adp_path_follower.study.sweeps.request.objectives import Score
 from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
 from adp_path_follower.study.sweeps.request.request import Tuning
-from adp_path_follower.study.sweeps.score import Score
 from adp_path_follower.study.sweeps.study import baseline, refused, score_of, tried, values_of
 
 _LEAST_TRIALS = 20  # fewer do not tell how much a setting matters

@@ -15,11 +15,12 @@ from adp_path_follower.core.settings.schema import Value
 from adp_path_follower.study.sweeps.request.objectives import (
     OBJECTIVES,
     Columns,
+    Score,
     pareto_front,
+    score_of_runs,
     unstable_runs,
 )
 from adp_path_follower.study.sweeps.request.request import Sweep
-from adp_path_follower.study.sweeps.score import Score, score_of_runs
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The report of a sweep: one HTML file that opens without network."""
+"""The results of a sweep: an HTML file that opens without network, and the best settings."""
 
 import html
 import itertools
@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from adp_path_follower import __version__
+from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.drawing.figure_style import COLORS
 from adp_path_follower.drawing.page import write_page
-from adp_path_follower.study.sweeps.overview import Overview, shown
+from adp_path_follower.study.sweeps.overview import Overview, shown, write_settings
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
 from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
 from adp_path_follower.study.sweeps.workers.optima import WHERE_KNOWN
@@ -22,6 +24,22 @@ _MOST_MAPS = 6
 _BINS = 12  # of a range in a heat map, at most
 _MOST_POINTS = 3000  # that are drawn
 _HEIGHT = 420  # [px]
+
+
+def write_results(found: Overview, title: str, directory: FilePath) -> None:
+    """Write the page, and the best settings as a parameter file; may raise FileError."""
+    write_sweep_page(found, title, directory / "report.html")
+    best = directory / "best.yaml"
+    if found.best is None:
+        with output_to(best):
+            best.unlink(missing_ok=True)
+        return
+    scores = ", ".join(
+        f"{name} {found.scores[name][found.best]:.5g}" for name in found.sweep.objectives
+    )
+    comment = f"The best settings of {title} ({scores}), found by adp sweep {__version__}."
+    settings, values = found.sweep.settings(found.best), found.sweep.varied(found.best)
+    write_settings(best, settings, comment, values)
 
 
 def write_sweep_page(found: Overview, title: str, file: FilePath) -> None:

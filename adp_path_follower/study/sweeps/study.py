@@ -17,15 +17,17 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 
 from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.settings.schema import Value, flatten, yaml_text
+from adp_path_follower.study.sweeps.request.objectives import Score, score_of_runs
 from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
-from adp_path_follower.study.sweeps.request.request import Tuning
-from adp_path_follower.study.sweeps.score import Score, score_runs
+from adp_path_follower.study.sweeps.request.request import Sweep, Tuning
 from adp_path_follower.study.sweeps.workers.cluster import Workers
+from adp_path_follower.study.sweeps.workers.plan import Plan, work_off
+from adp_path_follower.study.sweeps.workers.runs import joined
 
 _BASELINE = "baseline"
 _SCORE = "score"
 _REFUSED = "refused"
-_MOST_REFUSED = 50  # one after the other: then the ranges hold nothing that is allowed
+_MOST_REFUSED = 50  # one after the other: then the ranges hold nothing valid
 
 
 def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
@@ -49,7 +51,7 @@ def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
             load_if_exists=True,
         )
         before = study.get_trials(deepcopy=False)
-    except Exception as error:  # whatever the driver of the database raises
+    except Exception as error:  # drivers of databases have no common error
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise AdpError(
             f"storage '{storage}' cannot be used ({reason}): give an address like "
@@ -63,7 +65,7 @@ def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
     # A study that goes on, or that others work on too, must not draw the same again.
     seed = None if shared else tuning.search.seed + len(before)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # experimental features are said to be so
+        warnings.simplefilter("ignore")  # Optuna warns of experimental features
         study.sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constant_liar=True)
     return study
 
@@ -94,13 +96,19 @@ def tune(
         _tell(study, trial, workers.result(future), tuning)
 
 
+def score_runs(sweep: Sweep) -> Score:
+    """Simulate the runs of a sweep of one combination, on a worker."""
+    plan = Plan(sweep)
+    return score_of_runs(joined([work_off(plan.part(number)) for number in range(plan.parts)]))
+
+
 def tried(study: optuna.Study) -> list[FrozenTrial]:
     """Return the trials that were judged."""
     return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
 
 def refused(study: optuna.Study) -> list[str]:
-    """Return why settings were refused before any run, one sentence for each."""
+    """Return why settings were rejected before any run, one sentence for each."""
     trials = study.get_trials(deepcopy=False, states=(TrialState.PRUNED,))
     return [str(trial.user_attrs.get(_REFUSED, "")) for trial in trials]
 
@@ -130,7 +138,7 @@ def values_of(tuning: Tuning, params: Mapping[str, Any]) -> dict[str, Value]:
 def _propose(
     study: optuna.Study, tuning: Tuning, distributions: dict[str, BaseDistribution]
 ) -> tuple[Trial, Any]:
-    """Return a trial and its runs; settings that the validation refuses are tried no further."""
+    """Return a trial and its runs; settings that the validation rejects are not run."""
     reason = ""
     for _ in range(_MOST_REFUSED):
         trial = study.ask(distributions)
@@ -148,7 +156,7 @@ def _propose(
 
 def _tell(study: optuna.Study, trial: Trial, score: Score, tuning: Tuning) -> None:
     trial.set_user_attr(_SCORE, asdict(score))
-    # Above 0 it is no candidate, however little it costs.
+    # Above 0 it is no candidate, whatever its cost.
     trial.set_constraint("unstable runs", float(score.unstable))
     study.tell(trial, [score.objectives[name] for name in tuning.objectives])
 
@@ -168,7 +176,7 @@ def _judge_baseline(study: optuna.Study, tuning: Tuning, workers: Workers) -> No
 
 
 def _base_value(item: Variation, base: dict[str, Value]) -> Any:
-    """Return the value before, as Optuna has it; None if it is none of those that are tried."""
+    """Return the value before, as Optuna has it; None if it is not among those to try."""
     value = base[item.field.name]
     if isinstance(item, Listed):
         return yaml_text(value) if value in item.values else None

@@ -81,7 +81,8 @@ def test_the_robot_drives_on_and_can_be_stopped_when_those_who_listen_stall_or_d
     recorder = start("recorder", output=str(tmp_path / "bag"))
     log = tmp_path / "listener.log"
     with running_script(LISTENER, domain, log) as listener:
-        recorder.wait_for_output("recording /path_follower/measured_pose", 30.0)
+        recorded = "recording /path_follower/measured_pose"
+        team.peer.until(lambda: recorded in recorder.output(), recorded)
         team.peer.until(lambda: "heard" in log.read_text(), "the listener")
         others = (team.publisher.process.pid, recorder.process.pid, listener.pid)
         for number in (signal.SIGSTOP, signal.SIGKILL):

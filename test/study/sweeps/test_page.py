@@ -15,9 +15,8 @@ pytest.importorskip("distributed", reason="the extra 'sweep' is not installed")
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.study.sweeps.overview import overview, summary_text
-from adp_path_follower.study.sweeps.page import sweep_figures
+from adp_path_follower.study.sweeps.page import sweep_figures, write_results
 from adp_path_follower.study.sweeps.request.files import read_sweep
-from adp_path_follower.study.sweeps.sweep import write_results
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 ATTACK = "<img src=x onerror=alert(1)>"

@@ -2,7 +2,7 @@
 
 import io
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -10,9 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.study.sweeps.workers.cluster import Workers
 from adp_path_follower.study.sweeps.workers.output_folder import UNFINISHED, OutputFolder
-from adp_path_follower.study.sweeps.workers.plan import Plan
-from adp_path_follower.study.sweeps.workers.runs import Columns
+from adp_path_follower.study.sweeps.workers.plan import Plan, work_off
+from adp_path_follower.study.sweeps.workers.runs import Columns, joined
 
 _MARK = b"adp_sweep"  # key of the sweep's digest in each file
 
@@ -41,6 +42,16 @@ class PartsFolder(OutputFolder):
         """Return the numbers of the missing parts."""
         return [part for part in range(self.plan.parts) if not self._is_there(part)]
 
+    def run(self, missing: list[int], workers: Workers, progress: Callable[[float], None]) -> None:
+        """Run missing parts and write each one; `progress` takes the fraction done.
+
+        Raises AdpError if folder or workers fail; finished parts stay.
+        """
+        parts = (self.plan.part(number) for number in missing)
+        for done, (part, columns) in enumerate(workers.results(work_off, parts), start=1):
+            self.add(part.number, columns)
+            progress(done / len(missing))
+
     def add(self, part: int, columns: Columns) -> None:
         """Write a part; raise FileError if it cannot be written."""
         table = pa.table({name: _array(values) for name, values in columns.items()})
@@ -64,11 +75,11 @@ class PartsFolder(OutputFolder):
             for first, last in itertools.pairwise([0, *bounds.tolist(), len(columns["run"])]):
                 some = {name: values[first:last] for name, values in columns.items()}
                 if pending and pending[0]["combination"][0] != some["combination"][0]:
-                    yield _joined(pending)
+                    yield joined(pending)
                     pending = []
                 pending.append(some)
         if pending:
-            yield _joined(pending)
+            yield joined(pending)
 
     def _is_there(self, part: int) -> bool:
         """Return whether a part of this sweep exists, with all its runs."""
@@ -86,7 +97,3 @@ class PartsFolder(OutputFolder):
 
 def _array(values: np.ndarray) -> pa.Array:
     return pa.array(values.tolist(), pa.string()) if values.dtype == object else pa.array(values)
-
-
-def _joined(pieces: list[Columns]) -> Columns:
-    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}

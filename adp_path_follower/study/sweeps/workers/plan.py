@@ -7,7 +7,13 @@ import numpy as np
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.study.sweeps.request.request import Sweep
 from adp_path_follower.study.sweeps.workers.optima import optimal_costs
-from adp_path_follower.study.sweeps.workers.runs import MOST_AT_ONCE, Batch, Columns, simulate_batch
+from adp_path_follower.study.sweeps.workers.runs import (
+    MOST_AT_ONCE,
+    Batch,
+    Columns,
+    joined,
+    simulate_batch,
+)
 
 
 @dataclass(frozen=True)
@@ -44,9 +50,8 @@ class Plan:
         _, _, robot_seed = self._seeds(runs)
         ends = (np.diff(robot_seed) != 1) | (np.diff(runs // self.sweep.runs_each) != 0)
         pieces = [self._batch(some) for some in np.split(runs, np.flatnonzero(ends) + 1)]
-        columns = [shared for _, shared in pieces]
-        joined = {name: np.concatenate([item[name] for item in columns]) for name in columns[0]}
-        return Part(number, tuple(batch for batch, _ in pieces), joined)
+        columns = joined([shared for _, shared in pieces])
+        return Part(number, tuple(batch for batch, _ in pieces), columns)
 
     def _seeds(self, runs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the numbers of start, noise sequence and robot's seed of runs (N,), (N,) each."""
@@ -87,8 +92,7 @@ class Plan:
 
 def work_off(part: Part) -> Columns:
     """Return the table of a part: column name -> values, one for each run in order."""
-    measured = [simulate_batch(batch) for batch in part.batches]
-    columns = {name: np.concatenate([item[name] for item in measured]) for name in measured[0]}
+    columns = joined([simulate_batch(batch) for batch in part.batches])
     return {"run": columns.pop("run"), **part.columns, **columns}
 
 

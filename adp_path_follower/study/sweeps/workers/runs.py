@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,23 +46,43 @@ class Batch:
 Columns = dict[str, np.ndarray]
 
 
+def joined(pieces: Sequence[Columns]) -> Columns:
+    """Return tables one behind the other: column name -> values."""
+    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+
+
 def simulate_batch(batch: Batch) -> Columns:
     """Return the measurements of the runs: column name -> values, shape (B,).
 
     An impossible run (settings that do not fit the path) is not stable, and its `problem` says why.
     """
     count = len(batch)
+    numbers = np.arange(count)
+    identity = {
+        "run": batch.first_run + numbers,
+        "robot_seed": batch.first_seed + numbers,
+        "start_s": batch.starts[:, 0],
+        "start_y": batch.starts[:, 1],
+        "start_theta": batch.starts[:, 2],
+    }
     try:
         path = _path(batch.source, batch.settings.path)
         meter = TrackingMeter(path, count, batch.run.duration, 1.0 / batch.run.rate)
         found = _simulated(batch, path, meter)
     except (AdpError, np.linalg.LinAlgError) as error:
-        return _refused(batch, str(error))
+        return {
+            **identity,
+            **dict.fromkeys(MEASURES, np.full(count, math.nan)),
+            "optimal_cost": batch.optimal_cost,
+            "settling_time": np.full(count, math.inf),
+            "stable": np.zeros(count, dtype=bool),
+            "problem": np.full(count, str(error), dtype=object),
+        }
     seen = meter.result()
     lost = found.failed | ~np.isfinite(found.cost)
     missing = np.where(lost, math.nan, 1.0)
     return {
-        **_identity(batch),
+        **identity,
         "cost": found.cost * missing,
         "optimal_cost": batch.optimal_cost,
         "cost_ratio": found.cost * missing / batch.optimal_cost,
@@ -103,26 +124,3 @@ def _simulated(batch: Batch, path: Path, meter: TrackingMeter) -> SimulationResu
 @functools.lru_cache(maxsize=16)
 def _path(source: PathSource, settings: PathSettings) -> Path:
     return source.path(settings)
-
-
-def _identity(batch: Batch) -> Columns:
-    numbers = np.arange(len(batch))
-    return {
-        "run": batch.first_run + numbers,
-        "robot_seed": batch.first_seed + numbers,
-        "start_s": batch.starts[:, 0],
-        "start_y": batch.starts[:, 1],
-        "start_theta": batch.starts[:, 2],
-    }
-
-
-def _refused(batch: Batch, problem: str) -> Columns:
-    nothing = np.full(len(batch), math.nan)
-    return {
-        **_identity(batch),
-        **dict.fromkeys(MEASURES, nothing),
-        "optimal_cost": batch.optimal_cost,
-        "settling_time": np.full(len(batch), math.inf),
-        "stable": np.zeros(len(batch), dtype=bool),
-        "problem": np.full(len(batch), problem, dtype=object),
-    }
