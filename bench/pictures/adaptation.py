@@ -20,6 +20,7 @@ from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.bellman import BellmanErrors
+from adp_path_follower.core.learning.learner import Observation
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
@@ -75,7 +76,7 @@ def _losses(settings: Settings, path: Path, starts: FloatArray) -> list[float]:
         def learned(settings: Settings, path: Path, arc_length: FloatArray) -> PathFollower:
             follower = PathFollower(settings, path, arc_length)
             for _ in range(round(delay / _PERIOD)):
-                follower._learner.learn(_NO_ERRORS, arc_length, _PERIOD)
+                follower._learner.learn(Observation(arc_length, lambda: _NO_ERRORS), _PERIOD)
             return follower
 
         result = simulate(

@@ -11,11 +11,10 @@ from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.driving.arrival import Goal
 from adp_path_follower.core.driving.command_law import CommandLaw, FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learning.batch_learner import FleetLearner
 from adp_path_follower.core.learning.bellman import BellmanErrors
-from adp_path_follower.core.learning.learner import Learner
+from adp_path_follower.core.learning.learner import Learner, Observation
 from adp_path_follower.core.learning.paper_learner import PathStateLearner
-from adp_path_follower.core.learning.path_learner import ArcLengthLearner
+from adp_path_follower.core.learning.path_learner import PathLearner
 from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.learning.weights_file import SavedWeights, difference, problem_settings
 from adp_path_follower.core.path.curve import Path
@@ -67,11 +66,10 @@ class PathFollower:
         self._target = VirtualTarget(path, settings.target, arc_length, self._reference)
         riccati = RiccatiSchedule(path, settings.target, settings.cost, self.profile)
         self._learner: Learner
-        batch, learns = self.arc_length.shape, settings.learning.learning
-        if settings.learning.scheduling == "arc_length" and learns and self.arc_length.size > 1:
-            self._learner = FleetLearner(settings, path, riccati, self.profile, batch)
-        elif settings.learning.scheduling == "arc_length":
-            self._learner = ArcLengthLearner(settings, path, riccati, self.profile)
+        if settings.learning.scheduling == "arc_length":
+            # Robots that do not learn share their weights.
+            batch = self.arc_length.shape if settings.learning.learning else ()
+            self._learner = PathLearner(settings, path, riccati, self.profile, batch)
         else:
             self._learner = PathStateLearner(settings, path, riccati, weights, self.profile)
         self.law = CommandLaw(settings, riccati, self._learner, self._actuation)
@@ -140,9 +138,11 @@ class PathFollower:
 
     def learn(self) -> None:
         """Learn for the period of the last step."""
-        assert self._previous is not None  # there has been one
+        previous = self._previous
+        assert previous is not None  # there has been one
         if self.settings.learning.learning:
-            self._learner.learn(self._previous.measured, self.arc_length, self._period)
+            observation = Observation(self.arc_length, lambda: previous.measured)
+            self._learner.learn(observation, self._period)
 
     def step_at(self, pose: FloatArray, time: int, learn: bool = True) -> FollowerOutput:
         """Return the command for a pose at a time [ns] of any clock.
@@ -173,7 +173,7 @@ class PathFollower:
             v_des = self._target.v_des
             return self.law.step(frame, error, self.arc_length, v_des, 0.0).measured
 
-        return self._learner.settle(measure, self.arc_length, distance)
+        return self._learner.settle(Observation(self.arc_length, measure, distance))
 
     def hold(self) -> None:
         """Let no time pass until the next step: the robot was stopped, or not observed."""

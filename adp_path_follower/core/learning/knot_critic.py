@@ -1,4 +1,8 @@
-"""What a knot of the path learns from its samples, and when that is not to be trusted."""
+"""Updates the critic of one knot from its normal equations, or refuses to.
+
+With the matrix A and the vector b of the equations, least squares take Wc = -A^-1 b, and the
+gradient follows Wc' = -eta (A Wc + b) / N.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.knot_model import KnotFit, NormalEquations, fit
-from adp_path_follower.core.learning.knot_weights import KnotMemory
+from adp_path_follower.core.learning.knot_weights import KnotWeights
 from adp_path_follower.core.learning.update_laws import relax
 from adp_path_follower.core.settings.learning import LearningSettings
 
@@ -18,43 +22,43 @@ _LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular
 
 
 @dataclass(frozen=True)
-class Lesson:
-    """What a knot has learned.
+class CriticUpdate:
+    """The critic of a knot after its update.
 
     Attributes:
-        critic: Wc of the knot from now on, shape (L,); the Riccati solution's if it was refused.
-        fit: What the samples said.
-        refusal: Why that was refused, empty if it was not; the actor then takes `critic` as well.
+        weights: Wc from now on, shape (L,); the Riccati solution's if the update was refused.
+        excitation: The samples' certificate of excitation.
+        refusal: Why the update was refused, empty if it was not; the actor takes `weights` as well.
 
     """
 
-    critic: FloatArray
-    fit: KnotFit
+    weights: FloatArray
+    excitation: float
     refusal: str
 
 
-class KnotTeacher:
-    """Draws the lesson from the normal equations of a knot."""
+class KnotCritic:
+    """Turns the normal equations of a knot into its new critic weights."""
 
-    def __init__(self, learning: LearningSettings, samples: int, memory: KnotMemory) -> None:
-        """Take gains and bounds, the number of samples, and what knows the Riccati solution."""
-        self._learning, self._memory = learning, memory
+    def __init__(self, learning: LearningSettings, samples: int, knots: KnotWeights) -> None:
+        """Take gains and bounds, the number of samples, and where the Riccati solution is from."""
+        self._learning, self._knots = learning, knots
         self._gain = learning.critic_gain_sampled / samples
 
-    def lesson(
+    def update(
         self,
         equations: NormalEquations,
-        critic: FloatArray,
+        weights: FloatArray,
         elapsed: float,
         curvature: float,
         speed: float,
-    ) -> Lesson:
-        """Return what a knot learns.
+    ) -> CriticUpdate:
+        """Return the critic of a knot after its update.
 
         Args:
             equations: Of the samples that were worked off.
-            critic: Wc of the knot so far, shape (L,).
-            elapsed: Time since the knot's last turn [s].
+            weights: Wc of the knot so far, shape (L,).
+            elapsed: Time since the knot's last update [s].
             curvature: kappa [1/m] at the knot.
             speed: v_des [m/s] there.
 
@@ -62,13 +66,13 @@ class KnotTeacher:
         found = fit(equations)
         refusal = self._refusal(found)
         if refusal:
-            safe = self._memory.safe(np.array([curvature]), np.array([speed]))[0]
-            return Lesson(safe, found, refusal)
+            safe = self._knots.safe(np.array([curvature]), np.array([speed]))[0]
+            return CriticUpdate(safe, found.excitation, refusal)
         if self._learning.critic == "gradient":
-            descent = self._gain * (equations.matrix @ critic + equations.vector)
+            descent = self._gain * (equations.matrix @ weights + equations.vector)
             step = relax(self._gain * equations.matrix, descent, min(elapsed, 1e3))
-            return Lesson(np.asarray(critic - step), found, "")
-        return Lesson(found.critic_weights, found, "")
+            return CriticUpdate(np.asarray(weights - step), found.excitation, "")
+        return CriticUpdate(found.critic_weights, found.excitation, "")
 
     def _refusal(self, found: KnotFit) -> str:
         """Return why a critic is not to be trusted, empty if it is."""

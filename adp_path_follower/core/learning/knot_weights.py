@@ -1,4 +1,7 @@
-"""The weights at the knots of a path, as far as they are remembered."""
+"""Stores critic and actor weights at knots along a path, for one robot or for a batch of them.
+
+Between two knots a distance h apart, Wc(s_p) and Wa(s_p) are linear, so dWc/ds_p is constant.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +25,24 @@ _NODES = np.linspace(-0.5, 0.5, 5)  # of a knot's interval, for its mean curvatu
 _SAME_LENGTH = 1e-4  # relative, and ...
 _SAME_CURVATURE = 1e-3  # ... [1/m], and relative: a path that differs less is the same
 _SAME_SPEED = 1e-3  # relative
-NOBODY = np.iinfo(np.int64).min  # who owns a slot that holds no knot
+_EMPTY = np.iinfo(np.int64).min  # the number in a slot that holds no knot
 
 
-class KnotMemory:
-    """Critic and actor weights at knots a distance h apart, numbered along the path.
+class KnotWeights:
+    """Critic and actor weights of each of B robots at knots a distance h apart.
 
-    Of an open path that goes on straight beyond its ends, for one preview; the knots of a closed
-    one that fits into the memory come round again, of a longer one every lap has its own.
+    Knots are numbered along the path. An open path goes on straight beyond its ends, for one
+    preview. The knots of a closed path come round again if a lap fits into the memory; if not,
+    every lap has its own. The last axis of knots and of arc lengths is that of the robots. Slots
+    are numbered knot by knot, for all robots each, so memory is taken only for knots that some
+    robot has been near.
 
     Attributes:
         spacing: h [m].
         window: Number of knots of the preview.
         lap: Number of knots of a lap, if they come round again, else None.
         size: Number of weights L.
+        capacity: Most knots that are stored for each robot.
         critic: Critic weights by slot, shape (slots, L).
         actor: Actor weights likewise.
         curvatures: kappa [1/m] at each slot's knot.
@@ -44,9 +51,14 @@ class KnotMemory:
     """
 
     def __init__(
-        self, settings: Settings, path: Path, riccati: RiccatiSchedule, profile: SpeedProfile
+        self,
+        settings: Settings,
+        path: Path,
+        riccati: RiccatiSchedule,
+        profile: SpeedProfile,
+        robots: int = 1,
     ) -> None:
-        """Lay the knots along a path."""
+        """Lay the knots along a path, for so many robots."""
         learning = settings.learning
         self._learning, self._path, self._riccati = learning, path, riccati
         self._profile = profile
@@ -57,35 +69,45 @@ class KnotMemory:
         self.lap = count if path.closed and count <= _MOST_KNOTS else None
         self.size = len(learning.value_basis.labels)
         knots = count if path.closed else count + 2 + 2 * self.window
-        self._capacity = min(_MOST_KNOTS, knots)
-        self._lay_out(self._capacity)
-
-    def _lay_out(self, count: int) -> None:
-        """Make room for so many knots; the system gives it where there is something to keep."""
-        self.critic = np.zeros((count, self.size))
-        self.actor = np.zeros((count, self.size))
-        self.curvatures = np.zeros(count)
-        self.speeds = np.zeros(count)
+        self.capacity = min(_MOST_KNOTS, knots)
+        self._robots = np.arange(robots)
+        # The system gives this memory where there is something to keep.
+        slots = self.capacity * robots
+        self.critic, self.actor = np.zeros((slots, self.size)), np.zeros((slots, self.size))
+        self.curvatures, self.speeds = np.zeros(slots), np.zeros(slots)
         self.reset()
 
     def reset(self) -> None:
         """Return to the initial weights everywhere."""
-        self._owner = np.full(len(self.critic), NOBODY)  # the knot that each slot holds
-        self._pair = (0, (0, 0), (NOBODY + 1, 0))  # see `_slots_about`
+        self._held = np.full(len(self.critic), _EMPTY)  # the knot that each slot holds
+        self._pair = (0, (0, 0), (_EMPTY + 1, 0))  # see `_slots_about`
 
-    def slots(self, knots: np.ndarray) -> np.ndarray:
-        """Return where knots of any shape are stored, with initial weights if they are new."""
+    def forget(self, robots: np.ndarray) -> None:
+        """Return to the initial weights of the robots (B,) that are true."""
+        self._held.reshape(self.capacity, len(self._robots))[:, robots] = _EMPTY
+
+    def slots(self, knots: np.ndarray, robots: np.ndarray | None = None) -> np.ndarray:
+        """Return where knots are stored, with initial weights if they are new.
+
+        Args:
+            knots: Shape (..., n), or (..., 1) for the same knots of all these robots.
+            robots: Their indices, shape (n,), by default all.
+
+        Returns:
+            Slots, shape (..., n).
+
+        """
         number = self.number(knots)
-        slots = self._places(number)
-        new = self._owner[slots] != number
+        slots = self._places(number, robots)
+        new = self._held[slots] != number
         if new.any():
             places, first = np.unique(slots[new], return_index=True)
-            numbers = number[new][first]
+            numbers = np.broadcast_to(number, slots.shape)[new][first]
             curvature, speed = self.curvature(numbers), self.speed(numbers)
             weights = initial_weights(self._learning, self._riccati, curvature, speed)
             self.critic[places], self.actor[places] = weights.critic, weights.actor
             self.curvatures[places], self.speeds[places] = curvature, speed
-            self._owner[places] = numbers
+            self._held[places] = numbers
         return np.asarray(slots)
 
     def number(self, knots: np.ndarray) -> np.ndarray:
@@ -96,18 +118,15 @@ class KnotMemory:
             return np.asarray(np.minimum(np.maximum(knots, self._ends[0]), self._ends[1]))
         return knots
 
-    def _places(self, number: np.ndarray) -> np.ndarray:
-        """Return where there is room for knots of any shape."""
-        return np.asarray(number % self._capacity)
-
-    def known_slots(self) -> np.ndarray:
-        """Return the slots that hold a knot, shape (K,)."""
-        return np.flatnonzero(self._owner != NOBODY)
+    def _places(self, number: np.ndarray, robots: np.ndarray | None = None) -> np.ndarray:
+        """Return where there is room for knots, as `slots`."""
+        robots = self._robots if robots is None else robots
+        return np.asarray(number % self.capacity * len(self._robots) + robots)
 
     def renew(self, knots: np.ndarray) -> None:
         """Return to the initial weights at those of the knots (K,) whose are not finite."""
         slots = self.slots(knots)
-        self._owner[slots[~self._sound(self.critic[slots], self.actor[slots])]] = NOBODY
+        self._held[slots[~self._sound(self.critic[slots], self.actor[slots])]] = _EMPTY
         self.slots(knots)
 
     def position(self, arc_length: FloatArray) -> FloatArray:
@@ -145,13 +164,13 @@ class KnotMemory:
 
     def _slots_about(self, knot: int) -> Sequence[int]:
         """Return the slots of a knot and of the next, most often those of the last call."""
-        known, slots, owners = self._pair
+        known, slots, numbers = self._pair
         if knot != known or any(
-            self._owner[slot] != owner for slot, owner in zip(slots, owners, strict=True)
+            self._held[slot] != number for slot, number in zip(slots, numbers, strict=True)
         ):
             first, second = self.slots(np.array([knot, knot + 1])).tolist()
             slots = (first, second)
-            self._pair = (knot, slots, (int(self._owner[first]), int(self._owner[second])))
+            self._pair = (knot, slots, (int(self._held[first]), int(self._held[second])))
         return slots
 
     def curvature(self, knots: np.ndarray) -> FloatArray:
@@ -170,15 +189,22 @@ class KnotMemory:
         basis = self._learning.value_basis
         return basis.quadratic_weights(self._riccati.matrix(curvature, speed))
 
-    def ends(self, knots: np.ndarray) -> FloatArray:
-        """Return what is ahead of sweeps from knots (K,), the Riccati solution, shape (K, L)."""
-        return self.safe(self.curvature(knots), self.speed(knots))
+    def end(self, knot: int) -> FloatArray:
+        """Return what is ahead of a sweep from a knot: the Riccati solution, shape (L,)."""
+        knots = np.array([knot])
+        return np.asarray(self.safe(self.curvature(knots), self.speed(knots))[0])
 
     def learned(self, reach: int) -> LearnedWeights:
-        """Return the weights at the knots where something was learned; reach is a sweep's."""
-        slots = self.known_slots()
+        """Return the first robot's weights at the knots where something was learned.
+
+        Args:
+            reach: How many knots ahead its next sweep reaches.
+
+        """
+        slots = np.flatnonzero(self._held != _EMPTY)
+        slots = slots[slots % len(self._robots) == 0]
         slots = slots[self._sound(self.critic[slots], self.actor[slots])]
-        knots = self._owner[slots]
+        knots = self._held[slots]
         if self._path.closed:  # every lap begins anew
             knots = knots % max(1, round(self._path.length / self.spacing))
         order = np.argsort(knots)
@@ -216,69 +242,17 @@ class KnotMemory:
             return "they were learned along a path that bends elsewhere than this one"
         if not np.allclose(self.speed(knots), learned.speed, rtol=_SAME_SPEED):
             return "they were learned at other speeds along the path than its profile has now"
-        if len(np.unique(knots % self._capacity)) < len(knots):
+        if len(np.unique(knots % self.capacity)) < len(knots):
             return "they hold more places of the path than are remembered"
-        self.take(learned)
-        return ""
-
-    def take(self, learned: LearnedWeights) -> None:
-        """Take the weights of a run on the same path."""
         slots = self._places(learned.knots[:, None])
-        self._owner[slots] = learned.knots[:, None]
+        self._held[slots] = learned.knots[:, None]
         self.curvatures[slots] = learned.curvature[:, None]
         self.speeds[slots] = learned.speed[:, None]
         self.critic[slots] = learned.critic[:, None]
         self.actor[slots] = learned.actor[:, None]
+        return ""
 
     @staticmethod
     def _sound(critic: FloatArray, actor: FloatArray) -> np.ndarray:
         """Return which weights (..., L) are finite, shape (...)."""
         return np.asarray(np.isfinite(critic).all(axis=-1) & np.isfinite(actor).all(axis=-1))
-
-
-class FleetMemory(KnotMemory):
-    """What a `KnotMemory` is to one robot, to each of B robots.
-
-    The last axis of knots and of arc lengths is that of the robots. Slots are numbered knot by
-    knot, for all robots each: so memory is taken only for knots that some robot has been near.
-    """
-
-    def __init__(
-        self,
-        settings: Settings,
-        path: Path,
-        riccati: RiccatiSchedule,
-        profile: SpeedProfile,
-        robots: int,
-    ) -> None:
-        """Lay the knots along a path, for so many robots."""
-        self._robots = robots
-        super().__init__(settings, path, riccati, profile)
-
-    def _lay_out(self, count: int) -> None:
-        """Make room for so many knots of each robot."""
-        self._numbers = np.arange(self._robots)
-        super()._lay_out(count * self._robots)
-
-    def _places(self, number: np.ndarray) -> np.ndarray:
-        """Return where there is room for knots (..., B), or for those of all robots (..., 1)."""
-        return np.asarray(super()._places(number) * self._robots + self._numbers)
-
-    def known_slots(self) -> np.ndarray:
-        """Return the slots in which the first robot has a knot, shape (K,)."""
-        slots = super().known_slots()
-        return np.asarray(slots[slots % self._robots == 0])
-
-    def forget_robots(self, robots: np.ndarray) -> None:
-        """Return to the initial weights of the robots (B,) that are true."""
-        self._owner.reshape(self._capacity, self._robots)[:, robots] = NOBODY
-
-    def copy_from(self, alone: KnotMemory, robots: np.ndarray) -> None:
-        """Take over what is in the memory of a single robot, for robots with indices (n,)."""
-        known = alone.known_slots()
-        slots = known[:, None] * self._robots + robots
-        self._owner[slots] = alone._owner[known, None]
-        self.curvatures[slots] = alone.curvatures[known, None]
-        self.speeds[slots] = alone.speeds[known, None]
-        self.critic[slots] = alone.critic[known, None]
-        self.actor[slots] = alone.actor[known, None]

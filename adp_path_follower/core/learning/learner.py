@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -12,6 +13,22 @@ from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.learning.bellman import BellmanErrors
 from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
 from adp_path_follower.core.settings.learning import LearningSettings
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a learner can know of the robots, besides its samples; it takes what it needs.
+
+    Attributes:
+        arc_length: Where their targets are [m], shape (...).
+        measure: Returns the Bellman errors of the present weights at the measured states.
+        distance: How far ahead of the targets to settle weights that change along the path [m].
+
+    """
+
+    arc_length: FloatArray
+    measure: Callable[[], BellmanErrors]
+    distance: float = 0.0
 
 
 class Evidence(Protocol):
@@ -36,20 +53,11 @@ class Learner(Protocol):
     def local(self, arc_length: FloatArray) -> LocalWeights:
         """Return the weights at arc lengths [m] of shape (...)."""
 
-    def learn(self, measured: BellmanErrors, arc_length: FloatArray, dt: float) -> None:
-        """Learn for dt [s], given the Bellman error at the measured state."""
+    def learn(self, observation: Observation, dt: float) -> None:
+        """Learn for dt [s]."""
 
-    def settle(
-        self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
-    ) -> bool:
-        """Learn with the robot at rest; return whether the weights settled.
-
-        Args:
-            measure: Gives the Bellman error of the present weights where the robot is.
-            arc_length: Where the targets are [m], any shape.
-            distance: How far ahead of them is learned, where weights change along the path [m].
-
-        """
+    def settle(self, observation: Observation) -> bool:
+        """Learn with the robots at rest; return whether the weights settled."""
 
     def take_over(self, previous: Learner) -> None:
         """Take over what another learner has learned, as far as it holds for this one."""

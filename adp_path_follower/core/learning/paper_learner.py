@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.bellman import BellmanErrors
 from adp_path_follower.core.learning.grid_model import SampledModel
-from adp_path_follower.core.learning.learner import Learner, initial_weights
+from adp_path_follower.core.learning.learner import Learner, Observation, initial_weights
 from adp_path_follower.core.learning.update_laws import follow, least_squares, update_weights
 from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
 from adp_path_follower.core.path.curve import Path
@@ -61,12 +59,14 @@ class PathStateLearner:
         """Return the weights, which are the same everywhere."""
         return LocalWeights(self.weights)
 
-    def learn(self, measured: BellmanErrors, arc_length: FloatArray, dt: float) -> None:
+    def learn(self, observation: Observation, dt: float) -> None:
         """Learn for dt [s] from the Bellman errors at the measured state and at the samples."""
         if dt <= 0.0:
             return
         if self._learning.critic == "gradient":
-            self.weights = update_weights(self.weights, measured, self.sampled, self._learning, dt)
+            self.weights = update_weights(
+                self.weights, observation.measure(), self.sampled, self._learning, dt
+            )
             return
         critic = least_squares(self.weights, self.sampled)
         actor = follow(
@@ -78,21 +78,12 @@ class PathStateLearner:
         )
         self.weights = Weights(critic, actor)
 
-    def settle(
-        self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
-    ) -> bool:
-        """Learn with the robot at rest; return whether the weights settled.
-
-        Args:
-            measure: Gives the Bellman error of the present weights where the robot is.
-            arc_length: Where the targets are [m], any shape.
-            distance: Unused: the weights are the same everywhere.
-
-        """
+    def settle(self, observation: Observation) -> bool:
+        """Learn with the robots at rest; return whether the weights settled."""
         settled = np.zeros((), bool)
         for _ in range(_REST_STEPS):
             before = self.weights
-            self.learn(measure(), arc_length, _REST_STEP)
+            self.learn(observation, _REST_STEP)
             if settled.any():  # those of a batch whose weights have settled are done
                 self._keep(before, settled)
             change = np.abs(self.weights.critic - before.critic).max(axis=-1)

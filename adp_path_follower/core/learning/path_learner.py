@@ -1,39 +1,45 @@
-"""A value function whose weights change along the path, learned for what lies ahead.
+"""Learns a value function whose weights change along the path, for one robot or for a batch.
 
 V(e, s_p) = w(s_p)^T sigma(e), with w linear between knots. The value function obeys
 
     0 = min_u e^T Q e + u^T R u + V_e (f + g u) + V_{s_p} s_p',
 
-in which a place of the path is told what comes by the place ahead of it. So the learner goes
+in which a place of the path is told what comes by the place ahead of it. So the learner sweeps
 backwards, knot by knot, from the Riccati solution at the end of its preview to the robot, and
 begins again: at each knot the critic takes the weights with the least Bellman errors for the
 actor's policy, and the actor follows. One control step works off a fixed number of samples, so
 its time is bounded however many samples and knots there are. When all ahead is learned, the learner
 rests until the robot has come a few knots on. Until the first sweep over the whole preview, the
 samples of one step must do for a knot: rough weights at once are better than good ones late.
+
+Every robot has weights of its own, as its actor follows the critic while it is near. Robots that
+sweep the same knots share the sweep, at once or one after the other.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learning.bellman import BellmanErrors
-from adp_path_follower.core.learning.knot_critic import KnotTeacher
-from adp_path_follower.core.learning.knot_model import KnotFit, KnotModel, NormalEquations
-from adp_path_follower.core.learning.knot_weights import KnotMemory
-from adp_path_follower.core.learning.learner import Learner, actor_bound
-from adp_path_follower.core.learning.update_laws import follow, surely_finite
-from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights
+from adp_path_follower.core.learning.knot_critic import KnotCritic
+from adp_path_follower.core.learning.knot_model import KnotModel
+from adp_path_follower.core.learning.knot_weights import KnotWeights
+from adp_path_follower.core.learning.learner import Learner, Observation, actor_bound
+from adp_path_follower.core.learning.sweep import Group, Sweep
+from adp_path_follower.core.learning.update_laws import follow
+from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 
-_RESTS = 4  # while a robot comes to the end of what was ahead of it
+_REST_SHARE = 4  # a learner rests while its robot passes one of so many parts of the preview
+_MOST_UPDATES = 20_000  # that all sweeps together remember: 20 MB with 80 weights
+_AT_ONCE = 16  # robots whose actors follow at once: what that takes fits into the caches
+_NEVER = np.iinfo(np.int64).max // 2  # a knot that no robot reaches
 
 MODEL_SETTINGS = (  # that decide what is learned
     "basis",
@@ -48,24 +54,20 @@ MODEL_SETTINGS = (  # that decide what is learned
 )
 
 
-def rest(settings: Settings, window: int) -> int:
-    """Return after how many knots a learner that has learned all of its window learns anew.
-
-    What a sweep of least squares finds depends only on where it begins and ends: at the same knot
-    it would find the same. A gradient goes on from what it has found, and never rests.
-    """
-    return window // _RESTS if settings.learning.critic == "least_squares" else 0
-
-
-class ArcLengthLearner:
-    """Learns the weights at the knots ahead of the robot.
-
-    `FleetLearner` does the same for each robot of a batch.
+@dataclass(frozen=True)
+class SampleEvidence:
+    """How well the samples of each robot's latest knot determine its weights.
 
     Attributes:
-        problem: Why the Riccati policy has taken over somewhere, empty if it has not.
+        excitation: The certificate, shape (...); not a number before the first knot.
 
     """
+
+    excitation: FloatArray
+
+
+class PathLearner:
+    """Learns the weights at the knots ahead of each robot of a batch; one robot has shape ()."""
 
     def __init__(
         self,
@@ -73,206 +75,270 @@ class ArcLengthLearner:
         path: Path,
         riccati: RiccatiSchedule,
         profile: SpeedProfile | None = None,
-        memory: KnotMemory | None = None,
+        shape: tuple[int, ...] = (),
     ) -> None:
-        """Start from the initial weights of the settings everywhere, kept in a memory."""
+        """Start from the initial weights of the settings everywhere.
+
+        Args:
+            settings: All settings.
+            path: The path.
+            riccati: The Riccati solution along it.
+            profile: The speed along it, by default that of the settings.
+            shape: Of the batch. Robots that do not learn may share the weights of shape ().
+
+        """
         learning = settings.learning
         self._settings, self._learning, self._path = settings, learning, path
         self._profile = profile if profile is not None else SpeedProfile(path, settings)
-        self._size = len(learning.value_basis.labels)
+        self._shape, self._count = shape, math.prod(shape)
         self._bound = actor_bound(learning, riccati)
-        self._memory = memory or KnotMemory(settings, path, riccati, self._profile)
-        self._spacing, self._window = self._memory.spacing, self._memory.window
-        self._rest = rest(settings, self._window)
-        self._model = KnotModel(settings, self._spacing, self._profile.varies)
-        self._teacher = KnotTeacher(learning, len(self._model), self._memory)
-        self.reset()
+        self._knots = KnotWeights(settings, path, riccati, self._profile, self._count)
+        self._window = self._knots.window
+        self._model = KnotModel(settings, self._knots.spacing, self._profile.varies)
+        self._critic = KnotCritic(learning, len(self._model), self._knots)
+        # What a sweep of least squares finds depends only on where it begins and ends: robots can
+        # share it, and need no other one soon. A gradient goes on from what it has found.
+        self._shares = learning.critic == "least_squares"
+        self._rest = self._window // _REST_SHARE if self._shares else 0  # [knots]
+        self._sweeps: dict[tuple[int, int], Sweep] = {}  # by near and far
+        self._start()
+
+    def _start(self) -> None:
+        """Begin as somebody who has learned nothing."""
+        self._knots.reset()
+        # Of each robot: how far its next sweep reaches, growing to the window, as the knots where
+        # it is come first; whether it is on a sweep; from where all ahead of it was learned.
+        self._reach = np.zeros(self._count, np.int64)
+        self._busy = np.zeros(self._count, bool)
+        self._learned_from = np.full(self._count, _NEVER)
+        self._groups: list[Group] = []
+        self._problems: dict[int, str] = {}  # by robot
+        self._sampled = SampleEvidence(np.full(self._shape, np.nan))
 
     def reset(self, where: np.ndarray | None = None) -> None:
-        """Return to the initial weights; what robots share stays if only some (...) are lost."""
-        if where is not None:
-            return
-        self._memory.reset()
-        self._reach = 0  # of the next sweep, growing to the window: where the robot is comes first
-        self._enough = len(self._model)  # samples for a knot
-        self._restart()
-        self._latest = KnotFit(np.full(self._size, np.nan), math.nan, math.nan)
-        self.problem = ""
+        """Return to the initial weights, of the robots where (...) is true.
 
-    def _restart(self) -> None:
-        """Begin the next sweep at the next step."""
-        self._knot: int | None = None
-        self._near = 0
-        self._length = 0
-        self._refused = 0
-        self._learned_from: int | None = None  # where all ahead of a knot was learned from
+        Robots that share their weights keep them, if only some of them are to return.
+        """
+        if where is None:
+            self._start()
+        elif where.shape == self._shape:
+            lost = where.ravel()
+            self._knots.forget(lost)
+            self._reach[lost] = 0
+            self._stop(lost)
+
+    def _stop(self, robots: np.ndarray) -> None:
+        """Let the robots (B,) that are true leave their sweeps, and begin anew."""
+        self._busy[robots], self._learned_from[robots] = False, _NEVER
+        for group in self._groups:
+            group.keep(~robots[group.robots])
+        self._groups = [group for group in self._groups if len(group.robots)]
 
     @property
-    def sampled(self) -> KnotFit:
-        """Return what the samples said of the latest knot; not a number before the first."""
-        return self._latest
+    def problem(self) -> str:
+        """Return why the Riccati policy has taken over for a robot, empty if it has for none."""
+        return next(iter(self._problems.values()), "")
+
+    @property
+    def sampled(self) -> SampleEvidence:
+        """Return what the samples said of each robot's latest knot."""
+        return self._sampled
 
     def local(self, arc_length: FloatArray) -> LocalWeights:
-        """Return the weights at arc lengths [m] of any shape, and their slope along the path."""
-        return self._memory.local(arc_length)
+        """Return each robot's weights at its arc length [m], and their slope along the path."""
+        if arc_length.ndim < 2:  # as the knots have them
+            return self._knots.local(arc_length)
+        found = self._knots.local(arc_length.ravel())
+        assert found.slope is not None  # weights change along the path
+        critic, actor, slope = (
+            values.reshape(*arc_length.shape, -1)
+            for values in (found.weights.critic, found.weights.actor, found.slope)
+        )
+        return LocalWeights(Weights(critic, actor), slope)
 
-    def learn(self, measured: BellmanErrors, arc_length: FloatArray, dt: float) -> None:
-        """Let the actor follow for dt [s], and work off some samples of the knot whose turn it is.
+    def learn(self, observation: Observation, dt: float) -> None:
+        """Let actors follow for dt [s], and work off some samples of the knots whose turn it is.
+
+        What holds at all samples holds at the measured state as well, so that is not asked for.
+        """
+        near, ahead = self._span(observation)
+        self._begin(near, ahead)
+        for group in self._groups:
+            self._work(group, self._learning.samples_per_step, dt)
+        self._groups = [group for group in self._groups if not group.ended]
+        spread = int(ahead[0] - near[0])  # 1 unless robots share their weights
+        self._follow(near + np.arange(spread + self._window)[:, None], dt)
+
+    def _span(self, observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+        """Return the knots behind and ahead of each robot, or of all that share weights, (B,)."""
+        position = np.floor(self._knots.position(observation.arc_length))
+        behind = position.reshape(-1, self._count).astype(np.int64)
+        if len(behind) == 1:
+            return behind[0], behind[0] + 1
+        return behind.min(axis=0), behind.max(axis=0) + 1
+
+    def _begin(self, near: np.ndarray, ahead: np.ndarray) -> None:
+        """Let robots begin sweeps that are neither on one nor resting.
 
         Args:
-            measured: Unused: what is learned at samples holds at the measured state as well.
-            arc_length: Where the robots' targets are [m], any shape.
-            dt: Period [s].
+            near: The knots where their sweeps end, shape (B,).
+            ahead: The knots ahead of them, from which their reach counts, shape (B,).
 
         """
-        near, robots = self._span(arc_length)
-        at_once = self._learning.samples_per_step
-        if self._knot is None and not self._rests(near):
-            self._enough = self._enough_samples(at_once)
-            self._begin(near, robots + self._reach)
-            whole = self._reach == self._window and self._enough == len(self._model)
-            self._learned_from = near if whole else None
-            self._reach = min(2 * self._reach + 1, self._window)
-        if self._knot is not None:
-            self._work(at_once, dt)
-        self._follow(near, robots + self._window, dt)
+        resting = (near >= self._learned_from) & (near < self._learned_from + self._rest)
+        idle = np.flatnonzero(~(self._busy | resting))
+        if not len(idle):
+            return
+        self._forget_sweeps()
+        far = ahead + self._reach
+        for start, end, robots in self._together(idle, near, far):
+            self._groups.append(Group(robots, self._sweep(start, end)))
+        whole = idle[self._reach[idle] == self._window]
+        self._learned_from[whole] = near[whole]
+        self._reach[idle] = np.minimum(2 * self._reach[idle] + 1, self._window)
+        self._busy[idle] = True
 
-    def _rests(self, near: int) -> bool:
-        """Return whether enough is learned ahead of the knot behind the last robot."""
-        return self._learned_from is not None and 0 <= near - self._learned_from < self._rest
+    def _together(
+        self, robots: np.ndarray, near: np.ndarray, far: np.ndarray
+    ) -> list[tuple[int, int, np.ndarray]]:
+        """Return which of the robots (n,) learn the same from knot `far` (B,) down to `near` (B,).
 
-    def _enough_samples(self, at_once: int) -> int:
-        """Return how many samples make up a knot in the next sweep."""
-        all_samples = len(self._model)
-        rough = self._reach < self._window and self._learning.critic == "least_squares"
-        # More unknowns than samples would have no single solution.
-        return min(at_once, all_samples) if rough and at_once > self._size else all_samples
-
-    def _span(self, arc_length: FloatArray) -> tuple[int, int]:
-        """Return the knot behind the last robot and the one ahead of the first."""
-        place = self._memory.position(arc_length)
-        if place.size == 1:
-            knot = math.floor(place.item())
-            return knot, knot + 1
-        return math.floor(place.min()), math.floor(place.max()) + 1
-
-    def settle(
-        self, measure: Callable[[], BellmanErrors], arc_length: FloatArray, distance: float
-    ) -> bool:
-        """Learn all that lies ahead; return whether the weights settled.
-
-        Args:
-            measure: Unused, as in `learn`.
-            arc_length: Where the targets are [m], any shape.
-            distance: How far ahead of them [m].
+        Returns:
+            `near`, `far` and indices of each group.
 
         """
-        near, robots = self._span(arc_length)
-        near -= self._window
-        far = robots + math.ceil(distance / self._spacing) + self._window
-        # All that the memory holds; round a lap, one preview more, which comes to lie under it.
-        comes_round = self._memory.lap is not None
-        far = min(far, near + len(self._memory.critic) + (self._window if comes_round else 0))
-        slots = self._memory.slots(np.arange(near, far))
-        self._enough, self._learned_from = len(self._model), None
-        self._begin(near, far)
-        while self._knot is not None:
-            self._work(len(self._model), math.inf)
-        self._memory.actor[slots] = self._memory.critic[slots]
-        self._reach = self._window
-        return not self.problem
+        found: dict[tuple[int, int, int], list[int]] = {}
+        for robot in robots.tolist():
+            # A gradient goes on from weights that are the same only before there are any.
+            alone = -1 if self._shares or self._reach[robot] == 0 else robot
+            found.setdefault((int(near[robot]), int(far[robot]), alone), []).append(robot)
+        return [(start, end, np.array(group)) for (start, end, _), group in found.items()]
+
+    def _sweep(self, near: int, far: int) -> Sweep:
+        """Return the sweep from knot `far` down to `near`, begun by another robot or new."""
+        sweep = self._sweeps.get((near, far))
+        if sweep is None:
+            everything, at_once = len(self._model), self._learning.samples_per_step
+            # More unknowns than samples would have no single solution.
+            rough = far - near <= self._window and self._shares and at_once > self._knots.size
+            samples = min(at_once, everything) if rough else everything
+            sweep = Sweep(near, far, samples, self._knots.end(far))
+            if self._shares and self._count > 1:  # one robot has nobody to share it with
+                self._sweeps[near, far] = sweep
+        return sweep
+
+    def _forget_sweeps(self) -> None:
+        """Forget sweeps that no robot is on, if they have become too many."""
+        if sum(len(sweep.updates) for sweep in self._sweeps.values()) > _MOST_UPDATES:
+            used = [group.sweep for group in self._groups]
+            self._sweeps = {(sweep.near, sweep.far): sweep for sweep in used}
+
+    def _work(self, group: Group, count: int, dt: float) -> None:
+        """Work off some samples of a group's knot, and go on to the next when all are done."""
+        sweep, knots = group.sweep, self._knots
+        if group.slots is None:
+            group.slots = knots.slots(np.array([sweep.far - 1 - group.index]), group.robots)
+        group.done, group.time = min(group.done + count, sweep.samples), group.time + dt
+        if group.index == len(sweep.updates):  # no other group has been here
+            first = group.slots[0]
+            curvature = float(knots.curvatures[first])
+            speed = float(knots.speeds[first])
+            sweep.work(self._model, group.done, curvature, speed)
+            if group.done == sweep.samples:
+                elapsed = group.time * (sweep.far - sweep.near)
+                sweep.finish(self._critic, knots.critic[first], elapsed, curvature, speed)
+        if group.done == sweep.samples:
+            self._pass_knot(group)
+
+    def _pass_knot(self, group: Group) -> None:
+        """Let a group take over the critic of its knot, and turn to the next."""
+        update, knots, robots = group.sweep.updates[group.index], self._knots, group.robots
+        knots.critic[group.slots] = update.weights
+        excitation = self._sampled.excitation.copy()  # outputs hold the one before
+        excitation.reshape(-1)[robots] = update.excitation
+        self._sampled = SampleEvidence(excitation)
+        if update.refusal:
+            knots.actor[group.slots] = update.weights
+            group.refused = True
+            self._problems.update(dict.fromkeys(robots.tolist(), update.refusal))
+        group.next_knot()
+        if not group.ended:
+            return
+        self._busy[robots] = False
+        if group.refused:
+            self._learned_from[robots] = _NEVER
+        elif self._problems:
+            for robot in robots.tolist():
+                self._problems.pop(robot, None)
+
+    def _follow(self, near: np.ndarray, dt: float) -> None:
+        """Let each actor follow its critic at the knots `near` (n, B)."""
+        knots, learning = self._knots, self._learning
+        slots = np.ascontiguousarray(knots.slots(near).T)
+        unsound = np.zeros(self._count, bool)
+        for start in range(0, self._count, _AT_ONCE):
+            some = slots[start : start + _AT_ONCE]
+            actor, critic = knots.actor[some], knots.critic[some]
+            followed = follow(actor, critic, learning.actor_gain, self._bound, dt)
+            if np.isfinite(followed.sum()):
+                knots.actor[some] = followed
+                continue
+            sound = np.isfinite(actor).all(axis=(1, 2)) & np.isfinite(critic).all(axis=(1, 2))
+            knots.actor[some[sound]] = followed[sound]
+            unsound[start : start + _AT_ONCE] = ~sound
+        if unsound.any():
+            lost = np.flatnonzero(unsound).tolist()
+            self._problems.update(dict.fromkeys(lost, "weights are not finite"))
+            knots.renew(near)
+            self._stop(unsound)
+
+    def settle(self, observation: Observation) -> bool:
+        """Learn all that lies ahead of every robot; return whether the weights settled."""
+        behind, ahead = self._span(observation)
+        near = behind - self._window
+        preview = math.ceil(observation.distance / self._knots.spacing) + self._window
+        # All that is stored; round a lap, one preview more, which comes to lie under it.
+        most = self._knots.capacity + (0 if self._knots.lap is None else self._window)
+        far = np.minimum(ahead + preview, near + most)
+        everyone = np.arange(self._count)
+        for start, end, robots in self._together(everyone, near, far):
+            slots = self._knots.slots(np.arange(start, end)[:, None], robots)
+            group = Group(robots, Sweep(start, end, len(self._model), self._knots.end(end)))
+            while not group.ended:
+                self._work(group, len(self._model), math.inf)
+            self._knots.actor[slots] = self._knots.critic[slots]
+        self._stop(np.ones(self._count, bool))
+        self._reach[:] = self._window
+        return not self._problems
 
     def take_over(self, previous: Learner) -> None:
-        """Take over the weights of a learner of the same path and problem."""
-        if not isinstance(previous, ArcLengthLearner) or previous._path is not self._path:
+        """Take over the weights of a learner of the same robots, path and problem."""
+        if not isinstance(previous, PathLearner) or previous._path is not self._path:
+            return
+        if previous._count != self._count or not previous._profile.same_as(self._profile):
             return
         old, new = previous._settings, self._settings
         if (old.target, old.cost, old.limits) != (new.target, new.cost, new.limits):
-            return
-        if not previous._profile.same_as(self._profile):
             return
         if any(
             getattr(old.learning, name) != getattr(new.learning, name) for name in MODEL_SETTINGS
         ):
             return
-        self._memory, self._reach = previous._memory, previous._reach
+        self._knots, self._reach = previous._knots, previous._reach
 
     def learned(self) -> LearnedWeights:
-        """Return the weights at the knots where something was learned."""
-        return self._memory.learned(self._reach)
+        """Return the first robot's weights at the knots where something was learned."""
+        return self._knots.learned(int(self._reach[0]))
 
     def start_from(self, learned: LearnedWeights) -> str:
-        """Go on from the weights of a run on a path of the same curvature, wherever it lay.
+        """Let every robot go on from the weights of a run on a path of the same curvature.
 
         Returns:
             Why this path is another one, empty if it is not.
 
         """
-        problem = self._memory.start_from(learned)
+        problem = self._knots.start_from(learned)
         if not problem:
-            self._reach = min(learned.reach, self._window)
+            self._reach[:] = min(learned.reach, self._window)
         return problem
-
-    def _begin(self, near: int, far: int) -> None:
-        """Begin a sweep from the Riccati solution at knot `far` down to knot `near`."""
-        self._near, self._length, self._refused = near, far - near, 0
-        end = np.array([far])
-        self._ahead = self._memory.safe(self._memory.curvature(end), self._memory.speed(end))[0]
-        self._take(far - 1)
-
-    def _take(self, knot: int) -> None:
-        """Turn to a knot."""
-        self._knot = knot
-        memory = self._memory
-        self._slot = int(memory.slots(np.array([knot]))[0])
-        self._knot_curvature = float(memory.curvatures[self._slot])
-        self._knot_speed = float(memory.speeds[self._slot])
-        self._done, self._time = 0, 0.0
-        self._equations: NormalEquations | None = None
-
-    def _work(self, count: int, dt: float) -> None:
-        """Work off some samples of the present knot, and go on to the next when all are done."""
-        assert self._knot is not None  # `_begin` took one
-        end = min(self._done + count, self._enough)
-        samples = slice(self._done, end)
-        part = self._model.equations(samples, self._ahead, self._knot_curvature, self._knot_speed)
-        self._equations = part if self._equations is None else self._equations + part
-        self._done, self._time = end, self._time + dt
-        if end < self._enough:
-            return
-        self._finish(self._equations)
-        if self._knot > self._near:
-            self._take(self._knot - 1)
-            return
-        if self._refused:
-            self._learned_from = None
-        else:
-            self.problem = ""
-        self._knot = None
-
-    def _finish(self, equations: NormalEquations) -> None:
-        """Take over the critic of the present knot, or the Riccati solution in its place."""
-        memory, slot = self._memory, self._slot
-        elapsed = self._time * self._length
-        lesson = self._teacher.lesson(
-            equations, memory.critic[slot], elapsed, self._knot_curvature, self._knot_speed
-        )
-        self._latest = lesson.fit
-        memory.critic[slot] = self._ahead = lesson.critic
-        if lesson.refusal:
-            self._refused += 1
-            self.problem = lesson.refusal
-            memory.actor[slot] = lesson.critic
-
-    def _follow(self, near: int, far: int, dt: float) -> None:
-        """Let the actor follow the critic at the knots from `near` up to `far`."""
-        memory = self._memory
-        slots = memory.slots(np.arange(near, far))
-        actor, critic = memory.actor[slots], memory.critic[slots]
-        if not surely_finite(actor, critic) and not np.isfinite([actor, critic]).all():
-            self.problem = "weights are not finite"
-            self._refused += 1
-            memory.renew(np.arange(near, far))
-            self._restart()
-            return
-        memory.actor[slots] = follow(actor, critic, self._learning.actor_gain, self._bound, dt)

@@ -12,7 +12,7 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solu
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import pose_in_frame
 from adp_path_follower.core.learning.bellman import bellman_errors
-from adp_path_follower.core.learning.learner import initial_weights
+from adp_path_follower.core.learning.learner import Observation, initial_weights
 from adp_path_follower.core.learning.paper_learner import PathStateLearner
 from adp_path_follower.core.learning.update_laws import follow, least_squares
 from adp_path_follower.core.learning.weights import Weights
@@ -30,7 +30,7 @@ EIGHT = lissajous()
 SCHEDULE = RiccatiSchedule(EIGHT, TargetSettings(), CostSettings())
 seeds = st.integers(0, 2**32 - 1)
 weights = npst.arrays(float, SIZE, elements=st.floats(-5.0, 5.0))
-UNUSED = None  # the measured error, which least squares do not need
+UNMEASURED = Observation(np.zeros(()), lambda: pytest.fail("measured"))
 PAPER = {"basis": "paper", "scheduling": "path_state", "frame": "serret_frenet"}
 
 
@@ -156,7 +156,7 @@ def test_a_least_squares_critic_is_the_best_for_the_actors_policy(basis):
     actor = learner.weights.actor
     regressor, normalization = learner.sampled.regressor, learner.sampled.normalization
     spent = learner.sampled.error - regressor @ learner.weights.critic
-    learner.learn(UNUSED, np.zeros(()), 0.02)
+    learner.learn(UNMEASURED, 0.02)
     best = np.linalg.lstsq(regressor / normalization[:, None], -spent / normalization, rcond=None)
     np.testing.assert_allclose(learner.weights.critic, best[0], rtol=1e-4, atol=1e-4)
     lagged = best[0] + math.exp(-50.0 * 0.02) * (actor - best[0])
@@ -181,7 +181,7 @@ def test_no_time_changes_nothing(critic):
     learner = learner_of({**PAPER, "critic": critic})
     before = learner.weights
     for dt in (0.0, -0.01):
-        learner.learn(UNUSED, np.zeros(()), dt)
+        learner.learn(UNMEASURED, dt)
     assert learner.weights is before
 
 
@@ -189,7 +189,7 @@ def test_the_samples_are_those_of_the_present_weights():
     learner = learner_of({**PAPER, "critic": "least_squares"})
     before = learner.sampled
     assert learner.sampled is before  # computed once
-    learner.learn(UNUSED, np.zeros(()), 0.02)
+    learner.learn(UNMEASURED, 0.02)
     after = learner.sampled
     assert after.error.tolist() != before.error.tolist()
     fresh = learner_of({**PAPER, "critic": "least_squares"}, learner.weights)

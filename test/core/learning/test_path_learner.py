@@ -11,7 +11,8 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solu
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
 from adp_path_follower.core.learning import knot_weights
-from adp_path_follower.core.learning.path_learner import ArcLengthLearner
+from adp_path_follower.core.learning.learner import Observation
+from adp_path_follower.core.learning.path_learner import PathLearner
 from adp_path_follower.core.path.library import circle, lissajous, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
@@ -24,12 +25,12 @@ UNLIMITED = {
 }
 SMALL = {"basis_degree": 3, "sample_count": 64, "samples_per_step": 64}
 LISTED = (0.5, 0.1, 0.2, 0.6, 0.5, 1.0)
-UNUSED = None  # of `learn` and `settle`: what is measured at the robot
 
 
-def learner_of(path, **values):
+def learner_of(path, shape=(), **values):
     tuning = build(Settings, values)
-    return ArcLengthLearner(tuning, path, RiccatiSchedule(path, tuning.target, tuning.cost))
+    riccati = RiccatiSchedule(path, tuning.target, tuning.cost)
+    return PathLearner(tuning, path, riccati, shape=shape)
 
 
 def riccati_weights(path, place, **values):
@@ -40,8 +41,9 @@ def riccati_weights(path, place, **values):
     return tuning.learning.value_basis.quadratic_weights(matrix)
 
 
-def at(place):
-    return np.asarray(place, dtype=float)
+def at(place, distance=0.0):
+    """Return an observation at a place; a learner of this kind does not ask for measurements."""
+    return Observation(np.asarray(place, float), lambda: pytest.fail("measured"), distance)
 
 
 def driven(follower, start, error, count, period=0.02):
@@ -86,7 +88,7 @@ def test_a_step_works_off_no_more_samples_than_it_may(name, count, at_once, plac
     counting = learner._model = CountingModel(learner._model)
     done = 0
     for step in range(30):
-        learner.learn(UNUSED, at(place + 0.05 * step), 0.01)
+        learner.learn(at(place + 0.05 * step), 0.01)
         parts, counting.parts = counting.parts, []
         assert sum(stop - start for start, stop in parts) <= at_once
         assert len(parts) <= 1  # none in a rest
@@ -100,27 +102,27 @@ def test_rough_weights_come_first_and_those_of_all_samples_later():
     values = {"basis_degree": 3, "sample_count": 256, "preview_distance": 1.0}
     learner = learner_of(PATHS["circle"], **values, samples_per_step=32)
     counting = learner._model = CountingModel(learner._model)
-    initial = learner.local(at(3.0)).weights.critic
+    initial = learner.local(np.asarray(3.0)).weights.critic
     sweeps = [1, 2, 4]  # knots, until the preview of five is reached
     for _ in range(sum(sweeps)):
-        learner.learn(UNUSED, at(3.0), 0.01)
+        learner.learn(at(3.0), 0.01)
     assert counting.parts == [(0, 32)] * sum(sweeps)
-    assert learner.local(at(3.0)).weights.critic.tolist() != initial.tolist()
+    assert learner.local(np.asarray(3.0)).weights.critic.tolist() != initial.tolist()
     counting.parts = []
     for _ in range(16):
-        learner.learn(UNUSED, at(3.0), 0.01)
+        learner.learn(at(3.0), 0.01)
     assert counting.parts == [(start, start + 32) for start in range(0, 256, 32)] * 2
 
 
 def test_every_sample_counts_once_before_a_knot_has_new_weights():
     learner = learner_of(PATHS["line"], **{**SMALL, "samples_per_step": 10})
-    first = learner.local(at(5.0)).weights.critic
+    first = learner.local(np.asarray(5.0)).weights.critic
     for _ in range(6):
-        learner.learn(UNUSED, at(5.0), 0.01)
-        assert learner.local(at(5.0)).weights.critic.tolist() == first.tolist()
+        learner.learn(at(5.0), 0.01)
+        assert learner.local(np.asarray(5.0)).weights.critic.tolist() == first.tolist()
     for _ in range(20):
-        learner.learn(UNUSED, at(5.0), 0.01)
-    assert learner.local(at(5.0)).weights.critic.tolist() != first.tolist()
+        learner.learn(at(5.0), 0.01)
+    assert learner.local(np.asarray(5.0)).weights.critic.tolist() != first.tolist()
 
 
 @pytest.mark.parametrize("at_once", [13, 64, 4096])
@@ -129,8 +131,8 @@ def test_how_many_samples_a_step_works_off_does_not_change_what_is_learned(at_on
     for samples_per_step in (at_once, 32):
         learner = learner_of(PATHS["circle"], **{**SMALL, "samples_per_step": samples_per_step})
         for _ in range(30 * 12 * max(1, math.ceil(64 / samples_per_step))):
-            learner.learn(UNUSED, at(3.0), 0.01)
-        found.append(learner.local(at(3.0)).weights)
+            learner.learn(at(3.0), 0.01)
+        found.append(learner.local(np.asarray(3.0)).weights)
     np.testing.assert_allclose(found[0].critic, found[1].critic, atol=1e-6)
     np.testing.assert_allclose(found[0].actor, found[1].actor, atol=1e-6)
 
@@ -163,8 +165,8 @@ def test_a_command_is_that_of_the_weights_that_are_published_with_it(printed, ex
 
 def test_on_a_straight_line_the_quadratic_part_is_the_riccati_solution():
     learner = learner_of(PATHS["line"], **UNLIMITED)
-    assert learner.settle(UNUSED, at(5.0), 20.0)
-    found = learner.local(at(12.34)).weights.critic[:6]
+    assert learner.settle(at(5.0, 20.0))
+    found = learner.local(np.asarray(12.34)).weights.critic[:6]
     expected = riccati_weights(PATHS["line"], 12.34, **UNLIMITED)[:6]
     np.testing.assert_allclose(found, expected, rtol=0.01, atol=0.01 * expected.max())
 
@@ -173,8 +175,8 @@ def test_on_a_straight_line_the_quadratic_part_is_the_riccati_solution():
 def test_on_a_circle_the_quadratic_part_is_near_the_riccati_solution(curvature):
     path = circle(curvature)
     learner = learner_of(path, **UNLIMITED)
-    assert learner.settle(UNUSED, at(0.0), 20.0)
-    found = learner.local(at(1.0)).weights.critic[:6]
+    assert learner.settle(at(0.0, 20.0))
+    found = learner.local(np.asarray(1.0)).weights.critic[:6]
     expected = riccati_weights(path, 1.0, **UNLIMITED)[:6]
     np.testing.assert_allclose(found, expected, atol=0.02 * expected.max())
 
@@ -199,7 +201,7 @@ def test_learning_on_the_way_ends_where_settling_does(name):
     online = PathFollower(build(Settings, {}), path, 12.0)
     last = driven(online, 12.0, (-0.3, 0.4, 0.5), 300)[-1]
     settled = learner_of(path)
-    assert settled.settle(UNUSED, last.arc_length, 5.0)
+    assert settled.settle(at(last.arc_length, 5.0))
     expected = settled.local(last.arc_length).weights.critic
     scale = np.abs(expected).max()
     np.testing.assert_allclose(last.weights.critic, expected, atol=0.02 * scale)
@@ -208,13 +210,13 @@ def test_learning_on_the_way_ends_where_settling_does(name):
 
 def test_a_gradient_critic_goes_where_least_squares_are():
     exact = learner_of(PATHS["circle"])
-    exact.settle(UNUSED, at(2.0), 5.0)
-    target = exact.local(at(2.0)).weights.critic
+    exact.settle(at(2.0, 5.0))
+    target = exact.local(np.asarray(2.0)).weights.critic
     misses = []
     for gain in (0.1, 10.0, 1e3):
         learner = learner_of(PATHS["circle"], critic="gradient", critic_gain_sampled=gain)
-        learner.settle(UNUSED, at(2.0), 5.0)
-        misses.append(np.linalg.norm(learner.local(at(2.0)).weights.critic - target))
+        learner.settle(at(2.0, 5.0))
+        misses.append(np.linalg.norm(learner.local(np.asarray(2.0)).weights.critic - target))
     assert misses[0] > 3.0 * misses[1] > 9.0 * misses[2]
     assert misses[2] < 1e-3 * np.linalg.norm(target)
 
@@ -222,14 +224,14 @@ def test_a_gradient_critic_goes_where_least_squares_are():
 def test_a_gradient_critic_comes_nearer_with_every_sweep():
     values = {**SMALL, "critic": "gradient", "critic_gain_sampled": 20.0}
     exact = learner_of(PATHS["circle"], **SMALL)
-    exact.settle(UNUSED, at(2.0), 5.0)
-    target = exact.local(at(2.0)).weights.critic
+    exact.settle(at(2.0, 5.0))
+    target = exact.local(np.asarray(2.0)).weights.critic
     learner = learner_of(PATHS["circle"], **values)
     misses = []
     for _ in range(5):
-        misses.append(np.linalg.norm(learner.local(at(2.0)).weights.critic - target))
+        misses.append(np.linalg.norm(learner.local(np.asarray(2.0)).weights.critic - target))
         for _ in range(400):
-            learner.learn(UNUSED, at(2.0), 0.01)
+            learner.learn(at(2.0), 0.01)
     assert misses[:3] == sorted(misses[:3], reverse=True)
     assert max(misses[3:]) < misses[2] < 0.3 * misses[0]
 
@@ -239,12 +241,12 @@ def test_a_gradient_critic_comes_nearer_with_every_sweep():
 
 def test_weights_are_linear_between_knots_and_their_slope_says_so():
     learner = learner_of(PATHS["figure eight"], **SMALL)
-    learner.settle(UNUSED, at(25.0), 5.0)
+    learner.settle(at(25.0, 5.0))
     spacing = PATHS["figure eight"].length / math.ceil(PATHS["figure eight"].length / 0.2)
     knots = 130 * spacing + np.array([0.0, spacing])
     ends = learner.local(knots + 1e-12).weights
     for share in (0.1, 0.5, 0.95):
-        found = learner.local(at(knots[0] + share * spacing))
+        found = learner.local(np.asarray(knots[0] + share * spacing))
         for name in ("critic", "actor"):
             first, second = getattr(ends, name)
             expected = (1.0 - share) * first + share * second
@@ -269,16 +271,17 @@ def test_robots_of_a_batch_at_one_place_learn_the_same():
         pose = advance_pose(pose, *single.command, 0.02)
 
 
-def test_robots_at_different_places_have_the_weights_of_their_places():
+@pytest.mark.parametrize("shape", [(2, 2), ()], ids=["own weights", "shared"])
+def test_robots_at_different_places_have_the_weights_of_their_places(shape):
     places = np.array([[14.5, 15.5], [16.5, 17.0]])
-    learner = learner_of(PATHS["figure eight"], **SMALL)
+    learner = learner_of(PATHS["figure eight"], shape=shape, **SMALL)
     for _ in range(1000):
-        learner.learn(UNUSED, places, 0.01)
+        learner.learn(at(places), 0.01)
     together = learner.local(places).weights
     for index in np.ndindex(2, 2):
         single = learner_of(PATHS["figure eight"], **SMALL)
-        single.settle(UNUSED, at(places[index]), 5.0)
-        expected = single.local(at(places[index])).weights.critic
+        single.settle(at(places[index], 5.0))
+        expected = single.local(np.asarray(places[index])).weights.critic
         scale = np.abs(expected).max()
         np.testing.assert_allclose(together.critic[index], expected, atol=0.01 * scale)
         np.testing.assert_allclose(together.actor[index], expected, atol=0.01 * scale)
@@ -288,11 +291,11 @@ def test_robots_at_different_places_have_the_weights_of_their_places():
 def test_on_a_closed_path_every_lap_has_the_same_weights(name):
     path = PATHS[name]
     learner = learner_of(path, **SMALL)
-    learner.settle(UNUSED, at(1.0), 5.0)
+    learner.settle(at(1.0, 5.0))
     for place in (0.013, 1.0, 3.33):
-        here = learner.local(at(place))
+        here = learner.local(np.asarray(place))
         for laps in (-2, 1, 30):
-            there = learner.local(at(place + laps * path.length))
+            there = learner.local(np.asarray(place + laps * path.length))
             np.testing.assert_allclose(there.weights.critic, here.weights.critic, atol=1e-9)
             np.testing.assert_allclose(there.weights.actor, here.weights.actor, atol=1e-9)
 
@@ -302,12 +305,12 @@ def test_beyond_the_ends_of_an_open_path_it_goes_on_straight():
     learner = learner_of(path, **UNLIMITED)
     for place in (-1e3, -1.0, path.length - 0.3, path.length + 1.0, 1e6):
         learner.reset()
-        assert learner.settle(UNUSED, at(place), 4.0)
-        found = learner.local(at(place)).weights.critic[:6]
+        assert learner.settle(at(place, 4.0))
+        found = learner.local(np.asarray(place)).weights.critic[:6]
         expected = riccati_weights(path, 5.0, **UNLIMITED)[:6]
         np.testing.assert_allclose(found, expected, rtol=0.01, atol=0.01 * expected.max())
         for _ in range(50):
-            learner.learn(UNUSED, at(place), 0.01)
+            learner.learn(at(place), 0.01)
         assert learner.problem == ""
 
 
@@ -340,7 +343,7 @@ def test_more_knots_than_are_remembered_do_not_matter_at_the_seam_of_a_closed_pa
 def test_a_whole_lap_of_a_circle_is_learned_alike():
     path = circle(1.0)
     learner = learner_of(path, **SMALL)
-    assert learner.settle(UNUSED, at(0.0), 21.0)
+    assert learner.settle(at(0.0, 21.0))
     critic = learner.local(np.linspace(0.0, path.length, 50)).weights.critic
     np.testing.assert_allclose(
         critic, critic[:1] + np.zeros((50, 1)), atol=0.02
@@ -356,7 +359,7 @@ def test_it_starts_from_the_initial_weights_of_the_settings(kind, name):
     lists = {"initial_critic_weights": LISTED, "initial_actor_weights": LISTED[::-1]}
     learner = learner_of(PATHS[name], **SMALL, **lists, initial_weights=kind)
     for place in (0.0, 3.3, 77.7):
-        found = learner.local(at(place)).weights
+        found = learner.local(np.asarray(place)).weights
         if kind == "listed":
             assert found.critic.tolist() == pytest.approx([*LISTED, *[0.0] * 10])
             assert found.actor.tolist() == pytest.approx([*LISTED[::-1], *[0.0] * 10])
@@ -368,14 +371,14 @@ def test_it_starts_from_the_initial_weights_of_the_settings(kind, name):
 
 def test_a_reset_returns_to_the_initial_weights_and_of_single_robots_to_nothing():
     learner = learner_of(PATHS["figure eight"], **SMALL)
-    first = learner.local(at(30.0)).weights.critic
-    learner.settle(UNUSED, at(29.0), 3.0)
-    learned = learner.local(at(30.0)).weights.critic
+    first = learner.local(np.asarray(30.0)).weights.critic
+    learner.settle(at(29.0, 3.0))
+    learned = learner.local(np.asarray(30.0)).weights.critic
     assert learned.tolist() != first.tolist()
     learner.reset(np.array([True, False]))  # robots share the weights
-    assert learner.local(at(30.0)).weights.critic.tolist() == learned.tolist()
+    assert learner.local(np.asarray(30.0)).weights.critic.tolist() == learned.tolist()
     learner.reset()
-    assert learner.local(at(30.0)).weights.critic.tolist() == first.tolist()
+    assert learner.local(np.asarray(30.0)).weights.critic.tolist() == first.tolist()
     assert learner.problem == ""
 
 
@@ -386,7 +389,7 @@ def steps_until_rest(learner, model, place):
     """Let a robot stand until its learner works no more; return after how many steps."""
     for step in range(2000):
         before = len(model.parts)
-        learner.learn(UNUSED, at(place), 0.01)
+        learner.learn(at(place), 0.01)
         if len(model.parts) == before:
             return step
     raise AssertionError("it never rests")
@@ -398,16 +401,16 @@ def test_a_learner_that_has_learned_all_ahead_rests_until_the_robot_has_come_on(
     assert steps_until_rest(learner, model, 14.5) > 12  # knots of the preview
     done = len(model.parts)
     for _ in range(100):
-        learner.learn(UNUSED, at(14.5), 0.01)
+        learner.learn(at(14.5), 0.01)
     assert len(model.parts) == done
     settled = learner_of(REST_PATHS["figure eight"], **SMALL)
-    settled.settle(UNUSED, at(14.5), 0.0)
-    found, expected = learner.local(at(14.5)), settled.local(at(14.5))
+    settled.settle(at(14.5, 0.0))
+    found, expected = learner.local(np.asarray(14.5)), settled.local(np.asarray(14.5))
     # Rests change nothing: what is learned before one is what would be learned in its place.
     np.testing.assert_allclose(found.weights.critic, expected.weights.critic, rtol=1e-9)
     np.testing.assert_allclose(found.weights.actor, expected.weights.critic, rtol=1e-9)
     for place in (15.4, 14.0):  # more than three knots on; back, behind where it began
-        learner.learn(UNUSED, at(place), 0.01)
+        learner.learn(at(place), 0.01)
         assert len(model.parts) > done
         steps_until_rest(learner, model, place)
         done = len(model.parts)
@@ -427,8 +430,8 @@ def test_lost_weights_end_the_rest():
     learner = learner_of(REST_PATHS["circle"], **SMALL)
     learner._model = model = CountingModel(learner._model)
     steps_until_rest(learner, model, 1.0)
-    expected = learner.local(at(1.0)).weights.critic.copy()
-    learner._memory.critic[:] = np.nan
+    expected = learner.local(np.asarray(1.0)).weights.critic.copy()
+    learner._knots.critic[:] = np.nan
     for _ in range(100):
-        learner.learn(UNUSED, at(1.0), 0.01)
-    np.testing.assert_allclose(learner.local(at(1.0)).weights.critic, expected, rtol=1e-9)
+        learner.learn(at(1.0), 0.01)
+    np.testing.assert_allclose(learner.local(np.asarray(1.0)).weights.critic, expected, rtol=1e-9)

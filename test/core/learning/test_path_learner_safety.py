@@ -10,7 +10,8 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
 from adp_path_follower.core.learning import knot_critic
-from adp_path_follower.core.learning.path_learner import ArcLengthLearner
+from adp_path_follower.core.learning.learner import Observation
+from adp_path_follower.core.learning.path_learner import PathLearner
 from adp_path_follower.core.path.library import circle, lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, update
@@ -27,7 +28,11 @@ REFUSED = {
     "bound": (NARROW_BOUND, r"critic's weights have norm [\d.]+, above actor_weight_bound 3\.9"),
     "residual": (WIDE_SAMPLES, r"Bellman errors at the samples are \d+% .*, above 50%"),
 }
-UNUSED = None
+
+
+def at(place, distance):
+    """Return an observation at a place; a learner along the path asks for no measurements."""
+    return Observation(np.asarray(place, float), lambda: pytest.fail("measured"), distance)
 
 
 def riccati_weights(follower):
@@ -174,12 +179,12 @@ def test_without_the_cause_learning_goes_on(cause):
     drive.follower = drive.follower.reconfigured(build(Settings, {}))
     drive.steps(200)
     assert drive.follower.learning_problem == ""
-    settled = ArcLengthLearner(
+    settled = PathLearner(
         build(Settings, {}),
         EIGHT,
-        drive.follower._learner._memory._riccati,  # of the same problem
+        drive.follower._learner._knots._riccati,  # of the same problem
     )
-    assert settled.settle(UNUSED, drive.follower.arc_length, 2.0)
+    assert settled.settle(at(drive.follower.arc_length, 2.0))
     expected = settled.local(drive.follower.arc_length).weights.critic
     scale = np.abs(expected).max()
     np.testing.assert_allclose(drive.follower.weights.critic, expected, atol=0.02 * scale)
@@ -209,7 +214,7 @@ def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
     drive = Drive(values)
     drive.steps(150)
     follower = drive.follower
-    stored = getattr(follower._learner._memory, array)
+    stored = getattr(follower._learner._knots, array)
     if everywhere:
         stored[:] = bad
     else:
@@ -225,8 +230,8 @@ def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
     drive.steps(60)
     assert follower.learning_problem == ""
     drive.steps(340)
-    settled = ArcLengthLearner(follower.settings, EIGHT, follower._learner._memory._riccati)
-    assert settled.settle(UNUSED, follower.arc_length, 2.0)
+    settled = PathLearner(follower.settings, EIGHT, follower._learner._knots._riccati)
+    assert settled.settle(at(follower.arc_length, 2.0))
     target = settled.local(follower.arc_length).weights.critic
     np.testing.assert_allclose(follower.weights.actor, target, atol=0.03 * np.abs(target).max())
 
@@ -234,22 +239,22 @@ def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
 def test_without_learning_weights_that_are_not_finite_are_replaced_as_well():
     drive = Drive({**SMALL, "learning": False})
     drive.steps(3)
-    drive.follower._learner._memory.critic[:] = math.nan
+    drive.follower._learner._knots.critic[:] = math.nan
     output = drive.steps(3)
     assert output.weights.actor.tolist() == riccati_weights(drive.follower).tolist()
 
 
 def test_only_the_robot_whose_weights_are_not_finite_has_the_riccati_policy():
     tuning = build(Settings, SMALL)
-    learner = ArcLengthLearner(tuning, EIGHT, RiccatiSchedule(EIGHT, tuning.target, tuning.cost))
+    schedule = RiccatiSchedule(EIGHT, tuning.target, tuning.cost)
+    learner = PathLearner(tuning, EIGHT, schedule, shape=(2,))
     places = np.array([10.0, 40.0])
-    learner.settle(UNUSED, places, 1.0)
+    learner.settle(at(places, 1.0))
     before = learner.local(places)
-    slot = int(40.0 / (EIGHT.length / 655))
-    learner._memory.actor[slot] = math.nan
+    knot = int(40.0 / (EIGHT.length / 655))
+    learner._knots.actor[2 * knot + 1] = math.nan  # of the second robot
     after = learner.local(places)
     assert after.weights.actor[0].tolist() == before.weights.actor[0].tolist()
-    schedule = RiccatiSchedule(EIGHT, tuning.target, tuning.cost)
     matrix = schedule.matrix(EIGHT.curvature(40.0), tuning.target.desired_speed)
     expected = tuning.learning.value_basis.quadratic_weights(matrix)
     np.testing.assert_allclose(after.weights.actor[1], expected, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Robots that learn together against robots that learn alone."""
+"""Robots that learn together have the weights of robots that learn alone, to the last bit."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.learning import batch_learner, knot_weights
-from adp_path_follower.core.learning.batch_learner import FleetLearner
-from adp_path_follower.core.learning.path_learner import ArcLengthLearner
+from adp_path_follower.core.learning import knot_weights, path_learner
+from adp_path_follower.core.learning.learner import Observation
+from adp_path_follower.core.learning.path_learner import PathLearner
 from adp_path_follower.core.path.library import circle, lissajous, named_path
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
@@ -22,7 +22,6 @@ VARIANTS = {
     "refused": {"actor_weight_bound": 2.5},
     "slow in bends": {"max_lateral_accel": 0.05},
 }
-UNUSED = None  # what is measured at the robots
 PERIODS = (0.0, 0.02, 0.05, 0.01)  # [s], in turns
 
 
@@ -30,8 +29,13 @@ def learners(path, count, values):
     tuning = build(Settings, {**SMALL, **values})
     profile = SpeedProfile(path, tuning)
     riccati = RiccatiSchedule(path, tuning.target, tuning.cost, profile)
-    fleet = FleetLearner(tuning, path, riccati, profile, (count,))
-    return fleet, [ArcLengthLearner(tuning, path, riccati, profile) for _ in range(count)]
+    fleet = PathLearner(tuning, path, riccati, profile, (count,))
+    return fleet, [PathLearner(tuning, path, riccati, profile) for _ in range(count)]
+
+
+def at(places, distance=0.0):
+    """Return an observation at places; a learner along the path asks for no measurements."""
+    return Observation(np.asarray(places), lambda: pytest.fail("measured"), distance)
 
 
 def assert_same_weights(fleet, alone, places):
@@ -40,22 +44,20 @@ def assert_same_weights(fleet, alone, places):
         single = learner.local(places[index])
         for name in ("critic", "actor"):
             found, expected = getattr(together.weights, name)[index], getattr(single.weights, name)
-            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(together.slope[index], single.slope, rtol=1e-12, atol=1e-12)
+            np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(together.slope[index], single.slope)
 
 
 def assert_same(fleet, alone, places):
     assert_same_weights(fleet, alone, places)
     for index, learner in enumerate(alone):
-        np.testing.assert_allclose(
-            fleet.sampled.excitation[index], learner.sampled.excitation, rtol=1e-12
-        )
+        np.testing.assert_array_equal(fleet.sampled.excitation[index], learner.sampled.excitation)
 
 
 def learn(fleet, alone, places, step):
-    fleet.learn(UNUSED, places, PERIODS[step % len(PERIODS)])
+    fleet.learn(at(places), PERIODS[step % len(PERIODS)])
     for index, learner in enumerate(alone):
-        learner.learn(UNUSED, places[index], PERIODS[step % len(PERIODS)])
+        learner.learn(at(places[index]), PERIODS[step % len(PERIODS)])
 
 
 @pytest.mark.parametrize("variant", sorted(VARIANTS))
@@ -84,8 +86,8 @@ def test_robots_learn_together_as_they_do_alone(name, variant, starts, speeds):
 def test_robots_settle_together_as_they_do_alone(critic, reach):
     fleet, alone = learners(PATHS["figure eight"], 4, {"critic": critic})
     places = np.array([3.0, 12.0, 3.1, 16.5])
-    settled = [alone[index].settle(UNUSED, places[index], reach) for index in range(4)]
-    assert fleet.settle(UNUSED, places, reach) == all(settled)
+    settled = [alone[index].settle(at(places[index], reach)) for index in range(4)]
+    assert fleet.settle(at(places, reach)) == all(settled)
     for step in range(20):
         assert_same(fleet, alone, places)
         learn(fleet, alone, places, step)
@@ -95,31 +97,31 @@ def test_robots_settle_together_as_they_do_alone(critic, reach):
 def test_settling_tells_that_one_robot_did_not():
     fleet, alone = learners(PATHS["figure eight"], 2, {"actor_weight_bound": 2.5})
     places = np.array([3.0, 12.0])
-    assert not any(alone[index].settle(UNUSED, places[index], 3.0) for index in range(2))
-    assert not fleet.settle(UNUSED, places, 3.0)
+    assert not any(alone[index].settle(at(places[index], 3.0)) for index in range(2))
+    assert not fleet.settle(at(places, 3.0))
     assert fleet.problem in [learner.problem for learner in alone]
 
 
 @pytest.mark.parametrize("limit", [0, 20])
 def test_what_is_forgotten_is_found_again(limit, monkeypatch):
-    monkeypatch.setattr(batch_learner, "_MOST_LESSONS", limit)
+    monkeypatch.setattr(path_learner, "_MOST_UPDATES", limit)
     fleet, alone = learners(PATHS["figure eight"], 3, {})
     places = np.array([10.0, 12.0, 12.1])
     for step in range(80):
         learn(fleet, alone, places + 0.03 * step, step)
     assert_same(fleet, alone, places)
-    lessons = sum(len(sweep.lessons) for sweep in fleet._sweeps.values())
-    assert lessons <= limit + 3 * (fleet._window + 1)
+    updates = sum(len(sweep.updates) for sweep in fleet._sweeps.values())
+    assert updates <= limit + 3 * (fleet._window + 1)
 
 
 def test_robots_near_one_another_share_the_work():
     fleet, _ = learners(PATHS["figure eight"], 50, {})
     calls = []
-    lesson = fleet._teacher.lesson
-    fleet._teacher.lesson = lambda *args: calls.append(args) or lesson(*args)
+    update = fleet._critic.update
+    fleet._critic.update = lambda *args: calls.append(args) or update(*args)
     places = np.linspace(10.01, 10.3, 50)  # over two or three knots
     for _ in range(100):
-        fleet.learn(UNUSED, places, 0.01)
+        fleet.learn(at(places), 0.01)
     assert 0 < len(calls) < 100
 
 
@@ -155,8 +157,8 @@ def test_a_robot_whose_weights_break_learns_anew_and_the_others_go_on(kind):
     for step in range(40):
         if step == 25:
             for learner in alone[:1]:
-                getattr(learner._memory, kind)[:] = np.nan
-            getattr(fleet._memory, kind)[::20] = np.nan  # of the first robot
+                getattr(learner._knots, kind)[:] = np.nan
+            getattr(fleet._knots, kind)[::20] = np.nan  # of the first robot
         learn(fleet, alone, places, step)
         assert np.isfinite(fleet.local(places).weights.actor).all()
     assert_same(fleet, alone, places)
@@ -174,7 +176,7 @@ def test_robots_far_from_everything_disturb_nobody():
 def test_all_robots_go_on_from_what_one_has_learned():
     fleet, alone = learners(PATHS["figure eight"], 2, {})
     teacher = learners(PATHS["figure eight"], 1, {})[1][0]
-    teacher.settle(UNUSED, np.array(10.0), 5.0)
+    teacher.settle(at(10.0, 5.0))
     learned = teacher.learned()
     assert fleet.start_from(learned) == ""
     assert [learner.start_from(learned) for learner in alone] == ["", ""]
@@ -185,4 +187,4 @@ def test_all_robots_go_on_from_what_one_has_learned():
     again, expected = fleet.learned(), alone[0].learned()
     assert again.knots.tolist() == expected.knots.tolist()
     assert again.reach == expected.reach
-    np.testing.assert_allclose(again.critic, expected.critic, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(again.critic, expected.critic)

@@ -1,0 +1,108 @@
+"""Learns knot by knot, backwards along the path: from the Riccati solution at the end of a preview.
+
+A place of the path is told what comes by the place ahead of it. So the weights of knot k follow
+from those of knot k + 1: they have the least Bellman errors for the policy of knot k + 1. With
+least squares they depend on nothing else, so robots that are near one another share a sweep.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learning.knot_critic import CriticUpdate, KnotCritic
+from adp_path_follower.core.learning.knot_model import KnotModel, NormalEquations
+
+
+class Sweep:
+    """The critic updates of the knots from the one before `far` back to `near`.
+
+    Attributes:
+        near: The last knot.
+        far: The knot ahead of the first.
+        samples: How many samples make up a knot.
+        updates: Of the knots far - 1, far - 2, ..., as far as a robot has come.
+
+    """
+
+    def __init__(self, near: int, far: int, samples: int, ahead: FloatArray) -> None:
+        """Begin with Wc of the knot `far`, shape (L,)."""
+        self.near, self.far, self.samples = near, far, samples
+        self.updates: list[CriticUpdate] = []
+        self._ahead = ahead
+        self._done = 0  # samples of the next knot
+        self._equations: NormalEquations | None = None  # of those
+
+    def work(self, model: KnotModel, until: int, curvature: float, speed: float) -> None:
+        """Work off the samples of the next knot up to number `until`, if that is still to do."""
+        if until <= self._done:
+            return
+        samples = slice(self._done, until)
+        part = model.equations(samples, self._ahead, curvature, speed)
+        self._equations = part if self._equations is None else self._equations + part
+        self._done = until
+
+    def finish(
+        self,
+        critic: KnotCritic,
+        weights: FloatArray,
+        elapsed: float,
+        curvature: float,
+        speed: float,
+    ) -> None:
+        """Update the critic of the next knot, whose samples are worked off.
+
+        Args:
+            critic: Makes the update.
+            weights: Wc of the knot so far, shape (L,).
+            elapsed: Time since the knot's last update [s].
+            curvature: kappa [1/m] at the knot.
+            speed: v_des [m/s] there.
+
+        """
+        assert self._equations is not None  # there are samples
+        update = critic.update(self._equations, weights, elapsed, curvature, speed)
+        self.updates.append(update)
+        self._ahead = update.weights
+        self._done, self._equations = 0, None
+
+
+@dataclass
+class Group:
+    """Robots that began the same sweep in the same step, and go through it together.
+
+    Attributes:
+        robots: Their indices, shape (n,).
+        sweep: The sweep.
+        index: How many of its knots they have passed.
+        slots: Where their weights of the present knot are stored, shape (n,).
+        done: How many samples of that knot are worked off for them.
+        time: How long they have been at it [s].
+        refused: Whether an update of this sweep was refused.
+
+    """
+
+    robots: np.ndarray
+    sweep: Sweep
+    index: int = 0
+    slots: np.ndarray | None = None
+    done: int = 0
+    time: float = 0.0
+    refused: bool = False
+
+    def next_knot(self) -> None:
+        """Turn to the next knot."""
+        self.index += 1
+        self.slots, self.done, self.time = None, 0, 0.0
+
+    def keep(self, chosen: np.ndarray) -> None:
+        """Let only the robots (n,) that are true stay in the group."""
+        self.robots = self.robots[chosen]
+        self.slots = None if self.slots is None else self.slots[chosen]
+
+    @property
+    def ended(self) -> bool:
+        """Return whether all knots are passed."""
+        return self.index == self.sweep.far - self.sweep.near
