@@ -34,14 +34,10 @@ def transient(duration: float) -> float:
 
 
 def has_approached(distance: FloatArray) -> np.ndarray:
-    """Return where a robot is on the path, measured by its distance at the start, shape (N,).
+    """Return where a robot is on the path, for distances from it over time [m] (N,), shape (N,).
 
-    There it is below 5 % of the first distance, or 10 mm. Unlike `is_settled` this needs no virtual
-    target, so runs of any controller have it.
-
-    Args:
-        distance: From the path over time [m], shape (N,).
-
+    There the distance is below 5 % of the first one, or 10 mm. Unlike `is_settled` this needs no
+    virtual target, so runs of any controller have it.
     """
     first = float(np.abs(distance[0])) if len(distance) else 0.0
     return np.asarray(np.abs(distance) < max(APPROACHED_SHARE * first, APPROACHED_LEAST))
@@ -50,10 +46,7 @@ def has_approached(distance: FloatArray) -> np.ndarray:
 def time_to_stay(time: FloatArray, inside: np.ndarray) -> float:
     """Return the time from the start [s] after which a run stays inside, infinite if it does not.
 
-    Args:
-        time: Time of each sample [s], shape (N,), N at least 1.
-        inside: Whether the run is inside then, shape (N,).
-
+    The samples have times [s] (N,), N at least 1, and whether the run is inside then, shape (N,).
     """
     outside = np.flatnonzero(~inside)
     first = int(outside[-1]) + 1 if len(outside) else 0

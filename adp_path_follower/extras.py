@@ -20,15 +20,10 @@ _SLOW = ("distributed", "optuna")  # to import: half a second each, which not ev
 
 
 def require(subject: str, extra: str) -> None:
-    """Check that the libraries of an extra are installed.
+    """Check that the libraries of an extra, one of `EXTRAS`, are installed for a subject.
 
-    Args:
-        subject: The command or part that needs them, such as "adp sweep".
-        extra: One of `EXTRAS`.
-
-    Raises:
-        AdpError: One is missing, or cannot be imported; the message says how to install it.
-
+    The subject is the command or part that needs them, such as "adp sweep". Raises AdpError, which
+    says how to install it, if one is missing or cannot be imported.
     """
     missing = [name for name in EXTRAS[extra] if importlib.util.find_spec(name) is None]
     if missing:

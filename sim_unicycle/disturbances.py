@@ -22,16 +22,10 @@ def drive(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the wheels' mean velocity over a step, and the one at its end, shape (..., 2) each.
 
-    The exact solution of d(velocity)/dt = clip((wanted - velocity) / lag, -limit, limit): a ramp
-    while the gap is large, then the first-order response. With the mean, the distance of a straight
-    drive is exact as well.
-
-    Args:
-        velocity: [v, w] at the beginning, shape (..., 2).
-        wanted: [v, w] that is commanded over the step, shape (..., 2).
-        dt: Length of the step [s], above 0.
-        plant: Gives lag, limits of the acceleration, and friction.
-
+    `velocity` and `wanted` are [v, w] at the beginning and as commanded, shape (..., 2); the step
+    has a length dt > 0 [s]. The exact solution of d(velocity)/dt = clip((wanted - velocity) / lag,
+    -limit, limit): a ramp while the gap is large, then the first-order response. With the mean, the
+    distance of a straight drive is exact as well.
     """
     lag = plant.velocity_lag
     linear = min(plant.max_linear_accel, plant.friction * _GRAVITY)
@@ -68,14 +62,9 @@ def on_the_ground(wheels: FloatArray, plant: PlantSettings) -> FloatArray:
 
 
 def moved_pose(pose: FloatArray, twist: FloatArray, lateral: float, dt: float) -> FloatArray:
-    """Return the pose after a constant twist, shape (..., 3).
+    """Return poses [x, y, theta] after a constant twist [v, w] for dt [s], shape (..., 3).
 
-    Args:
-        pose: x [m], y [m], theta [rad], shape (..., 3).
-        twist: [v, w], shape (..., 2).
-        lateral: Velocity to the left [m/s].
-        dt: Duration [s].
-
+    `lateral` is the velocity to the left [m/s].
     """
     moved = advance_pose(pose, twist[..., 0], twist[..., 1], dt)
     if lateral == 0.0:

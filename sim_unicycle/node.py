@@ -145,7 +145,7 @@ class SimulatorNode(Ending, Node):
     def _receive(self, twist: Twist, answers: bool) -> None:
         command = np.array([twist.linear.x, twist.angular.z])
         if not np.isfinite(command).all():
-            self.get_logger().error(f"command refused: {command.tolist()} is not finite")
+            self.get_logger().error(f"command rejected: {command.tolist()} is not finite")
             return
         lockstep = self._settings.simulation.lockstep
         if lockstep and not answers:

@@ -71,12 +71,8 @@ class Odometry:
     def __init__(self, pose: FloatArray, twist: FloatArray, plant: PlantSettings, run: int) -> None:
         """Measure a robot that stands at its start; the first reading arrives at once.
 
-        Args:
-            pose: Its pose, shape (..., 3).
-            twist: Its wheels' velocities, shape (..., 2).
-            plant: Its imperfections; their seed is taken from here for good.
-            run: Number of the first run of the batch.
-
+        Takes its pose (..., 3), its wheels' velocities (..., 2), its imperfections, whose seed is
+        fixed from here on, and the number of the first run of the batch.
         """
         self._shape = pose.shape[:-1]
         self._seed = plant.seed + run

@@ -1,4 +1,4 @@
-"""A file that a thread writes, so that a slow disk delays nobody who records."""
+"""A file that a thread writes, so that a slow disk delays no recording."""
 
 import contextlib
 import os

@@ -38,7 +38,7 @@ def type_text(type_name: str) -> TypeText:
     """
     try:
         return _installed(type_name)
-    except Exception as error:  # rosbags raises whatever a text leads its parser to
+    except Exception as error:  # rosbags' parser has no common error
         store = get_typestore(Stores.ROS2_JAZZY)
         if type_name in store.fielddefs:
             definition, _ = store.generate_msgdef(type_name, ros_version=2)

@@ -63,10 +63,10 @@ class BagWriter:
         background: bool = False,
         information: Mapping[str, str] | None = None,
     ) -> None:
-        """Create the bag's directory and file.
+        """Create the bag's directory, which must not exist yet, and its first file.
 
         Args:
-            directory: The bag: a directory that must not exist yet.
+            directory: The bag.
             custom_data: Entries of metadata.yaml beside the usual ones.
             chunked: Gather messages in chunks, with an index and checksums; those in the chunk that
                 is open are lost if the process is killed.

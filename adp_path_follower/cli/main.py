@@ -122,9 +122,9 @@ def main() -> None:
         click.echo(f"adp: {error}", err=True)
         code = 2
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output has gone: nobody to tell
+        sys.stderr.close()  # the reader of our output has gone
         code = 141
-    except OSError as error:  # what no command has foreseen: a disk that is full, or goes
+    except OSError as error:  # unexpected, such as a full disk
         where = "" if error.filename is None else f"file {error.filename}: "
         click.echo(f"adp: {where}{error.strerror or error}", err=True)
         code = 2

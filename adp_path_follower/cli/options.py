@@ -185,7 +185,7 @@ def collect_starts(
 
 @contextlib.contextmanager
 def resumable() -> Iterator[None]:
-    """Tell whoever interrupts the block that the same command resumes its work."""
+    """Say after an interrupt of the block that the same command resumes its work."""
     try:
         yield
     except KeyboardInterrupt:

@@ -69,17 +69,11 @@ def new_directory(directory: FilePath) -> FilePath:
 
 @contextlib.contextmanager
 def output_directory(directory: FilePath, keep: bool = False) -> Iterator[FilePath]:
-    """Make an output directory, and take back what the block has written if the block fails.
+    """Make an output directory, and remove what the block has written if the block fails.
 
-    Half a report is of no use, and the same command again would be rejected because of it.
-
-    Args:
-        directory: Where the output goes: a new or empty directory.
-        keep: Whether what was written before is of use; an empty directory never is.
-
-    Raises:
-        FileError: As `new_directory`, or something in it cannot be written.
-
+    Half a report is of no use, and the same command again would be rejected because of it. With
+    `keep`, files stay if there are any. Raises FileError as `new_directory`, or if something in it
+    cannot be written.
     """
     was_there = os.path.lexists(directory)  # which no name is too long for
     new_directory(directory)

@@ -126,29 +126,28 @@ def replay(
 def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
     """Raise AdpError for options that would do nothing beside others; the sentence names both."""
     context = click.get_current_context()
-
-    def refuse(reason: str, *names: str) -> None:
-        for option in context.command.params:
-            is_given = (
-                context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
-            )
-            if is_given and option.name in names:
-                raise AdpError(f"{reason}: not with {option.opts[0]}")
-
     comparisons = ("csv_file", "figure_file")
+    rules = []
     if republish:
         reason = "--republish plays what was recorded to a controller with settings of its own"
-        refuse(reason, "params", "assignments", "closed_loop", "directory", *comparisons)
+        settings = ("params", "assignments", "closed_loop", "directory")
+        rules.append((reason, (*settings, *comparisons)))
     else:
-        refuse("without --republish nothing is played", "rate")
+        rules.append(("without --republish nothing is played", ("rate",)))
     if closed_loop:
-        refuse("--closed-loop has other steps than the recording, so none to compare", *comparisons)
+        reason = "--closed-loop has other steps than the recording, so none to compare"
+        rules.append((reason, comparisons))
+    for reason, names in rules:
+        for option in context.command.params:
+            source = context.get_parameter_source(option.name or "")
+            if option.name in names and source is ParameterSource.COMMANDLINE:
+                raise AdpError(f"{reason}: not with {option.opts[0]}")
 
 
 def _wanted(
     params: FilePath | None, assignments: tuple[str, ...]
 ) -> tuple[Settings | None, dict[str, object]]:
-    """Return settings that replace the recorded ones, and what is laid over either of them."""
+    """Return settings that replace the recorded ones, and values that overlay either."""
     if params is not None:
         return load_settings(Settings, "path_follower", params, assignments), {}
     return None, dict(map(parse_assignment, assignments))
@@ -187,7 +186,7 @@ def _write_comparison(
 def _write_report(
     bag: FilePath, topics: Mapping[str, str], replayed: FilePath, closed_loop: bool
 ) -> None:
-    """Lay the recorded and the new run over each other, as `adp analyze` does."""
+    """Write a report of the recorded and the new run, as `adp analyze` does."""
     recorded = {key: topics[key] for key in ("odom", "cmd_vel", "path") if key in topics}
     # The new commands, and the odometry of a simulator, are there by their usual names.
     new = {key: topic for key, topic in recorded.items() if key == "path" or not closed_loop}
@@ -255,7 +254,7 @@ def _differences(found: Replay) -> list[str]:
     recorded, replayed = found.recorded[answered], found.replayed[answered]
     first = int(np.argmin(found.identical[answered]))
     apart = np.abs(replayed - recorded)
-    largest = np.maximum(apart.max(axis=0), 1e-300)  # of which the square may not be a number
+    largest = np.maximum(apart.max(axis=0), 1e-300)  # whose square may overflow
     rms = largest * np.sqrt(((apart / largest) ** 2).mean(axis=0))
     return [
         f"first difference after {time[first]:.3f} s: recorded v = {recorded[first, 0]:.6g} m/s, "

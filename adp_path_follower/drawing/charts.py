@@ -1,4 +1,4 @@
-"""Data of charts, whoever draws them: page or PNG.
+"""Data of charts, for the page and for PNG files.
 
 Curves are decimated, so that a chart stays small however long the bag is.
 """

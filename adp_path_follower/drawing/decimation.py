@@ -6,18 +6,10 @@ from adp_path_follower.core.geometry import FloatArray
 
 
 def extremes(values: FloatArray, buckets: int) -> np.ndarray:
-    """Return which values to keep so that a figure of them shows every peak.
+    """Return increasing indices of the values (N,) to keep so that a figure shows every peak.
 
-    Each bucket of neighbouring values keeps its least and its greatest; the first and the last of
-    all are kept as well. Values that are not finite are no peaks.
-
-    Args:
-        values: Shape (N,).
-        buckets: At most 2 `buckets` + 2 values are kept.
-
-    Returns:
-        Increasing indices.
-
+    Each bucket of neighbouring values keeps its least and its greatest, and the first and the last
+    of all are kept: at most 2 `buckets` + 2. Values that are not finite are no peaks.
     """
     count = len(values)
     if count <= 2 * buckets:

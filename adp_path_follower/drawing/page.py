@@ -12,15 +12,8 @@ from adp_path_follower.extras import require
 def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) -> None:
     """Write a page from the templates of a name: NAME.html.j2 and NAME.js.
 
-    Args:
-        file: Where to.
-        name: Name of the templates; all pages share the style of the first.
-        data: Data for the script, figures above all.
-        content: Further values for the template.
-
-    Raises:
-        AdpError: It cannot be written, or Plotly or Jinja2 is missing.
-
+    `data` is for the script (figures above all), `content` for the template; all pages share the
+    style of the first. Raises AdpError if it cannot be written, or Plotly or Jinja2 is missing.
     """
     require("the page", "report")
     import jinja2

@@ -68,14 +68,10 @@ class MessageDecoder:
         names: Sequence[str],
         stamped: bool,
     ) -> None:
-        """Take what to read.
+        """Take the fields to read, as in "pose.position.x"; the last one may be a sequence.
 
-        Args:
-            definitions: Type name -> constants and fields, as rosbags' typestores have them.
-            type_name: The type of the messages.
-            names: Fields to read, as in "pose.position.x"; the last one may be a sequence.
-            stamped: Whether the messages have a header, whose stamp is to be read.
-
+        `definitions` has type name -> constants and fields, as rosbags' typestores have them;
+        `stamped` messages have a header, whose stamp is read.
         """
         self._definitions, self._type_name = definitions, type_name
         self._names, self._stamped = tuple(names), stamped

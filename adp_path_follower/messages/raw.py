@@ -2,7 +2,7 @@
 
 A path of a hundred thousand poses takes milliseconds: poses whose frame names are equally long lie
 at even distances, and are read in one step; others, which are rare, one after the other. Node and
-replay read paths by this module alike, so that they follow the same path to the last bit.
+replay both read paths by this module, so that they follow the same path to the last bit.
 
 Odometry comes with every control step, and only the few numbers that count are read: rclpy takes
 ten times as long to make a message with two unused covariances. Every control step sends a header
@@ -54,7 +54,7 @@ class OdometryNumbers(NamedTuple):
     """The motion of a robot in the plane, from an odometry message."""
 
     seconds: int  # stamp, whole seconds
-    nanoseconds: int  # stamp, what is left of it
+    nanoseconds: int  # stamp, rest
     frame: str  # frame of the pose
     child_frame: str  # frame of the twist
     position: tuple[float, ...]  # x, y and z [m]
@@ -204,7 +204,7 @@ def _even_places(raw: bytes, at: int, count: int, order: str) -> np.ndarray | No
 def _planar(numbers: FloatArray) -> FloatArray:
     """Return x, y and heading of positions and quaternions (N, 7), shape (N, 3)."""
     x, y, z, w = numbers[:, 3:].T
-    with np.errstate(all="ignore"):  # whatever a message holds; what is no rotation becomes NaN
+    with np.errstate(all="ignore"):  # a damaged message may hold anything; no rotation gives NaN
         norm = x * x + y * y + z * z + w * w
         heading = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
         heading = np.where(np.isfinite(norm) & (norm > 1e-6), heading, np.nan)

@@ -35,7 +35,7 @@ class MessageDefinition:
                     store.register(get_types_from_idl(body) if body.strip() else {})
             self.type_hash = store.hash_rihs01(name)
             self._store = store
-        except Exception:  # rosbags raises whatever a damaged text leads its parser to
+        except Exception:  # rosbags' parser has no common error
             self.type_hash = ""
 
     @property

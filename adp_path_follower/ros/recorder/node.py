@@ -38,7 +38,7 @@ _LEAST_LINGER, _MOST_LINGER = 0.3, 5.0  # [s], steady
 
 
 class RecorderNode(Ending, Node):
-    """Write messages as they were serialised; decode nothing."""
+    """Writes messages as they were serialised, without decoding."""
 
     def __init__(self) -> None:
         """Create the bag and look for the topics.
@@ -57,7 +57,7 @@ class RecorderNode(Ending, Node):
         self._unwanted = topic_patterns("exclude", choice.exclude, *names)
         self._takes_all = choice.all
         self._writer: BagWriter | None = _new_bag(settings)
-        self._bag = self._writer  # what the status tells of, also afterwards
+        self._bag = self._writer  # for the status, also afterwards
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._status_timer = self.create_timer(_STATUS_PERIOD, self._publish_status, clock=clock)
@@ -70,7 +70,7 @@ class RecorderNode(Ending, Node):
     def lingers(self, elapsed: float) -> bool:
         """Return whether messages are still coming in.
 
-        A launch file ends all nodes at once, so the others' last words come after our signal.
+        A launch file ends all nodes at once, so their last messages come after our signal.
         """
         self._status_timer.cancel()
         quiet = steady.monotonic() - self._last_message
@@ -169,7 +169,7 @@ class RecorderNode(Ending, Node):
             self._give_up(error)
 
     def _give_up(self, error: OSError) -> None:
-        """Stop recording, close what was written, and say so once; the node goes on."""
+        """Stop recording, close the bag, and log it once; the node goes on."""
         writer, self._writer = self._writer, None
         assert writer is not None
         self._cause = error.strerror or str(error)

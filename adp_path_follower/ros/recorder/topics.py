@@ -1,4 +1,4 @@
-"""Which topics a recorder takes: by name or by regular expression."""
+"""Decides which topics a recorder takes: by name or by regular expression."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -32,17 +32,10 @@ class TopicPatterns:
 def topic_patterns(
     setting: str, texts: Sequence[str], namespace: str, resolve: Callable[[str], str]
 ) -> TopicPatterns:
-    """Return the patterns that a setting lists.
+    """Return the patterns that a setting lists, for a node in a namespace.
 
-    Args:
-        setting: Its name.
-        texts: Names in the list.
-        namespace: The namespace of the node.
-        resolve: Takes a name and returns the full name, after remapping.
-
-    Raises:
-        SettingsError: A text is neither a name nor a regular expression.
-
+    `resolve` takes a name and returns the full name, after remapping. Raises SettingsError for a
+    text that is neither a name nor a regular expression.
     """
     names, expressions = set(), []
     for text in texts:

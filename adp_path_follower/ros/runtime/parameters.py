@@ -29,13 +29,9 @@ Tree = TypeVar("Tree")
 def declare_settings(node: Node, tree: type[Tree]) -> Tree:
     """Declare every setting of a tree as a parameter and return the settings.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides=True``,
-    so that names in a parameter file that are no settings are seen, and rejected.
-
-    Raises:
-        SettingsError: A parameter given to the node is unknown, of the wrong type or out of
-            range.
-
+    The node must have been made with ``automatically_declare_parameters_from_overrides=True``, so
+    that unknown names in a parameter file are seen, and rejected. Raises SettingsError if a given
+    parameter is unknown, of the wrong type or out of range.
     """
     given = own_values(list(node.get_parameters_by_prefix("").values()))
     settings = build(tree, given)
@@ -60,14 +56,10 @@ class LiveSettings(Generic[Tree]):
     def __init__(
         self, node: Node, settings: Tree, prepare: Callable[[Tree], Callable[[], None]]
     ) -> None:
-        """Take part in every change of the node's parameters.
+        """Take part in every change of the parameters of a node whose settings are declared.
 
-        Args:
-            node: The node, whose settings are declared.
-            settings: The present ones.
-            prepare: Returns what takes over other settings at once; raises AdpError where there
-                is no way.
-
+        `prepare` returns a function that takes over other settings at once; it raises AdpError
+        where there is no way.
         """
         self._node, self._settings, self._prepare = node, settings, prepare
         self._fields = {field.name: field for field in setting_fields(type(settings))}

@@ -8,8 +8,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 EVERY_STEP = QoSProfile(depth=10)
-# For steps that follow odometry, perhaps in lock-step at the machine's pace: a recorder that joins
-# a second late, or is kept waiting that long, still gets all.
+# For steps that follow odometry, also in lock-step at the machine's pace: a recorder that joins or
+# stalls for a second still gets all.
 LOSSLESS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ALL_CHANGES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -22,16 +22,11 @@ _MOST = 15
 def repeat_until_delivered(
     publisher: Publisher, publish: Callable[[], None], least: int = 0
 ) -> None:
-    """Publish a message again, not for long, until all who listen have got it.
+    """Publish a message again, not for long, until all subscribers have got it.
 
-    An undelivered message is lost when its node goes. Waiting alone may not do: Fast
-    DDS by itself asks only every 3 s what was lost.
-
-    Args:
-        publisher: Whose delivery counts.
-        publish: Publishes the message there.
-        least: How often to publish it in any case; 0 if it has been published.
-
+    An undelivered message is lost when its node goes. Waiting alone may not do: Fast DDS by itself
+    asks only every 3 s what was lost. `publish` is called at least `least` times; 0 if the message
+    has been published.
     """
     for count in range(_MOST):
         if count >= least and publisher.wait_for_all_acked(Duration(seconds=_PATIENCE)):

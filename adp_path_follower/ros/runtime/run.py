@@ -1,4 +1,4 @@
-"""Run a node until it is told to stop, and let it say its last words."""
+"""Run a node until it is asked to stop, and let it publish its last messages."""
 
 import sys
 import time as steady
@@ -68,7 +68,7 @@ def _run(name: str, make_node: Callable[[], Node]) -> int:
     except AdpError as error:
         get_logger(name).fatal(_one_line(error))
         code = 2 if node is None else 1
-    except Exception as error:  # whatever happened, the robot must be told to stop
+    except Exception as error:  # the robot must be stopped after any error
         get_logger(name).fatal(f"unexpected error, stopping: {_one_line(error)}")
         code = 1
     finally:

@@ -48,8 +48,8 @@ def _defended(callback: Callable[..., Any], name: str, node: Node) -> Callable[.
             reason = " ".join(str(error).split()).split(", at /")[0]
             node.get_logger().error(f"{name} rejected: {reason}")
             if hasattr(response, "results"):  # one for each parameter
-                refused = SetParametersResult(successful=False, reason=reason)
-                response.results = [refused] * len(request.parameters)
+                rejected = SetParametersResult(successful=False, reason=reason)
+                response.results = [rejected] * len(request.parameters)
             elif hasattr(response, "result"):  # for all of them
                 response.result = SetParametersResult(successful=False, reason=reason)
             return response

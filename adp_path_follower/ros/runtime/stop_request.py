@@ -13,7 +13,7 @@ _HANG_UP_IGNORED = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 def ending_signals() -> tuple[signal.Signals, ...]:
     """Return the signals that end a node in good order: all that would end it, but kill -9.
 
-    The loss of the terminal is none of them where somebody asked to outlive it (nohup).
+    The loss of the terminal is not among them under nohup.
     """
     return tuple(
         number for number in _SIGNALS if number is not signal.SIGHUP or not _HANG_UP_IGNORED

@@ -31,7 +31,7 @@ class Outcome:
     Attributes:
         name: Controller.
         cost_ratio: J/J* of each start, shape (B,); NaN where J* is not known or the run failed.
-        cost: J of each start, shape (B,); NaN, as all of a start that is none, where it was lost.
+        cost: J of each start, shape (B,); NaN where the start is invalid or the run was lost.
         failed: Runs that were lost, or ended more than 0.5 m from the path, shape (B,).
         settling_time: Until |e| stays below 0.05 [s]; infinite where it does not, shape (B,).
         effort: Integral of u^T R u of each start, shape (B,).
@@ -115,23 +115,11 @@ def compare(
 ) -> Comparison:
     """Run controllers from the same starts, and beside the offline optimum.
 
-    Args:
-        settings: Target, cost and limits of all; the learner of "adp".
-        path_name: As it is shown.
-        path: The path.
-        starts: Initial errors, shape (B, 3).
-        names: Controllers, of `CONTROLLERS`.
-        start_arc_length: Where the virtual target starts [m].
-        duration: Time over which the cost is compared [s].
-        plant: Imperfections of the robot, the same noise for every controller; J* is the ideal
-            robot's in any case.
-        faults: How they change with time.
-        progress: Called with the fraction that is done.
-
-    Raises:
-        AdpError: There is nothing to compare: no such controller, no start, or a speed that varies
-            along the path, which only some of the controllers know.
-
+    Target, cost and limits of all are those of `settings`, as is the learner of "adp". The starts
+    are errors of shape (B, 3) to a virtual target at `start_arc_length` [m]; the cost is that over
+    `duration` [s]. All see the same noise of `plant` and `faults`, but J* is the ideal robot's.
+    `progress` takes the fraction done. Raises AdpError for an unknown controller, no start, or a
+    speed that varies along the path, which only some of the controllers know.
     """
     chosen = contenders(settings, names)
     if speed_varies(path, settings):
@@ -189,7 +177,7 @@ def _optima(
     duration: float,
     progress: Callable[[float], None],
 ) -> tuple[list[Optimum | None], list[str]]:
-    """Return the optimum of each start, and why there is none."""
+    """Return the optimum of each start, None where there is none, and sentences that say why."""
     solver = OptimumSolver(settings, path, start_arc_length, duration)
     found: list[Optimum | None] = []
     problems = []
@@ -206,7 +194,7 @@ def _optima(
 def _notes(
     starts: FloatArray, optima: Sequence[Optimum | None], duration: float
 ) -> tuple[str, ...]:
-    """Return what there is to say about the optima that were found."""
+    """Return sentences about the optima that were found."""
     notes = []
     for start, optimum in zip(starts, optima, strict=True):
         if optimum is not None and optimum.has_local_optima:

@@ -49,14 +49,14 @@ def run_closed_loop(
     """Run the four nodes in lock-step, or in real time where there are faults; return the bag.
 
     Args:
-        settings: The controller's settings; what lock-step needs is changed.
+        settings: The controller's settings; lock-step changes some of them.
         path: The path, for the robot's start.
         path_name: Its name, for the publisher.
         start: Initial error [s, y, theta] to the beginning of the path.
         duration: Simulated time [s].
-        directory: Where the bag and the nodes' logs go.
+        directory: Folder of the bag and of the nodes' logs.
         report: Called while waiting (None) and after every step that was seen.
-        simulator: How the robot is; an ideal one by default. Start and duration are those above.
+        simulator: The robot, an ideal one by default; start and duration are those above.
 
     Raises:
         AdpError: A node ended early or the run does not go on; the message says which and why.
@@ -79,8 +79,8 @@ def run_closed_loop(
             controller = launch("controller", {**flatten(settings), **pace, **_SIM_TIME})
             recorder = launch("recorder", {"output": str(bag), **_SIM_TIME})
             robot = launch("sim_unicycle", {**plant, "x": x, "y": y, "theta": theta})
-            # The path starts the run, so it comes when simulator and controller are being heard;
-            # it is heard itself, and the configuration after it, perhaps only when all is over.
+            # The path starts the run, so it comes when simulator and controller are recorded; the
+            # path itself and the configuration after it may be recorded at the very end.
             _wait(nodes, recorder, ("/odom", "/cmd_vel"), lambda: report(None))
             launch("path_publisher", {"path": path_name})
             _Monitor(domain).watch(robot, controller, nodes, report)
@@ -88,7 +88,7 @@ def run_closed_loop(
             others = [node for node in nodes if node is not robot]
             _wait(others, recorder, rest, lambda: None)
         finally:
-            # The recorder last: it must hear the others' last words.
+            # The recorder last, for it must get the last messages of the others.
             for node in sorted(nodes, key=lambda node: node.name == "recorder"):
                 node.stop()
     if recorder.process.returncode != 0:

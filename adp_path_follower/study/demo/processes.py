@@ -46,15 +46,9 @@ class NodeProcess:
         domain: int,
         arguments: tuple[str, ...] = (),
     ) -> None:
-        """Start a node.
+        """Start "controller", "sim_unicycle", "path_publisher" or "recorder" in a ROS domain.
 
-        Args:
-            executable: "controller", "sim_unicycle", "path_publisher" or "recorder".
-            parameters: ROS parameters.
-            log: File for what the node prints.
-            domain: ROS domain.
-            arguments: Further arguments after ``--ros-args``.
-
+        `log` gets the node's output; `arguments` follow after ``--ros-args`` and the parameters.
         """
         self.name = executable
         self.log = log
@@ -81,7 +75,7 @@ class NodeProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                process_group=0,  # not a session: a node outlives whoever starts it in one
+                process_group=0,  # not a session, in which a node outlives its parent
             )
 
     def output(self) -> str:

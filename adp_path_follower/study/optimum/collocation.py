@@ -91,18 +91,11 @@ def solve_optimum(
     start_arc_length: float = 0.0,
     horizon: float = HORIZON,
 ) -> Optimum:
-    """Return the optimal motion from a start.
+    """Return the optimal motion from an initial error [s, y, theta], shape (3,).
 
-    Args:
-        settings: v_des, k1, Q, R and the limits; everything else is the controller's own.
-        path: The path.
-        start: Initial error [s, y, theta], shape (3,).
-        start_arc_length: Where the virtual target starts [m].
-        horizon: Time [s] after which nothing is left to win.
-
-    Raises:
-        OptimumError: No starting guess converged, or J still changes with the mesh.
-
+    v_des, k1, Q, R and the limits are those of `settings`. The virtual target starts at
+    `start_arc_length` [m]; after `horizon` [s] nothing is left to win. Raises OptimumError if no
+    starting guess converged, or if J still changes with the mesh.
     """
     return OptimumSolver(settings, path, start_arc_length, horizon).solve(start)
 

@@ -41,19 +41,10 @@ def cost_over_horizon(
     commands: FloatArray,
     arc_lengths: FloatArray,
 ) -> float:
-    """Return J over the horizon, from each pose along the command that followed it.
+    """Return J over the horizon, from each pose along the next command; NaN for a shorter run.
 
-    Args:
-        settings: Give cost and target.
-        path: The path that was followed.
-        time: Time of each control step since the first [s], shape (N,).
-        poses: x, y, theta at each step, shape (N, 3).
-        commands: [v, w] of each step, shape (N, 2).
-        arc_lengths: Places of the virtual target at each step [m], shape (N,).
-
-    Returns:
-        J, NaN where the run is shorter than the horizon.
-
+    `settings` give cost and target. Of the N control steps there are the time since the first [s]
+    (N,), poses [x, y, theta] (N, 3), commands [v, w] (N, 2) and places of the target [m] (N,).
     """
     if not len(time) or time[-1] < COST_HORIZON - 1e-6:
         return math.nan
@@ -74,12 +65,7 @@ def is_paper_problem(
 ) -> bool:
     """Return whether the optimum that comes with the package is the one of this run.
 
-    Args:
-        settings: The controller's.
-        path: The path that was followed.
-        arc_length: Where on it the virtual target started [m].
-        first_error: The error [s, y, theta] at the start.
-
+    The virtual target started at `arc_length` [m] with the error [s, y, theta].
     """
     standard = build(Settings, {})
     same_problem = settings.target == standard.target and settings.cost == standard.cost

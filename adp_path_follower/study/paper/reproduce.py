@@ -85,10 +85,7 @@ def reproduce(
 ) -> Reproduction:
     """Run the paper's simulation with each grid, find the optimum, and evaluate the theorem.
 
-    Args:
-        progress: Called with the fraction that is done.
-        long_duration: How long [s] the printed laws are let run for what they unlearn.
-
+    `progress` takes the fraction done; `long_duration` [s] is for what the laws unlearn.
     """
     printed = load_settings(Settings, "path_follower", config_file("paper.yaml"))
     path = lissajous()

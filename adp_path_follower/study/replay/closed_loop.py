@@ -21,19 +21,9 @@ def rerun(
 ) -> tuple[Replay, FloatArray]:
     """Return a run of the simulator from the recorded initial pose, as long as the recorded one.
 
-    Paths and changes of parameters come when they came. The robot is the ideal unicycle.
-
-    Args:
-        run: The run.
-        settings: Settings to drive it with; by default, the recorded ones.
-        overlay: Setting -> value that it has all the time, whatever else changed during the run.
-
-    Returns:
-        The run, in which no command is a recorded one, and v, w at each step, shape (N, 2).
-
-    Raises:
-        FileError: As `replay`.
-
+    Paths and changes of parameters come when they came; `settings` and `overlay` are as in
+    `replay`, as are the errors raised. The robot is the ideal unicycle. Returns the run, in which
+    no command is a recorded one, and v, w at each step, shape (N, 2).
     """
     recorded = steps_of(run)
     if settings is None and "measured_pose" not in run.series:

@@ -49,17 +49,10 @@ class RecordedDriver:
     def __init__(
         self, run: Run, settings: Settings | None, overlay: Mapping[str, object] | None = None
     ) -> None:
-        """Take the paths and the changes of parameters.
+        """Take the paths and the changes of parameters, and `settings` and `overlay` as `replay`.
 
-        Args:
-            run: The run.
-            settings: Settings in place of the recorded ones, None to keep them.
-            overlay: Setting -> value that it has all the time, whatever was recorded or is given.
-
-        Raises:
-            FileError: The bag has no path or no configuration, or weights are missing or damaged.
-            SettingsError: The settings are none of this version, or the overlay does not fit.
-
+        Raises FileError if the bag has no path or configuration, or lacks weights, and
+        SettingsError for settings of another version or an overlay that does not fit.
         """
         if not any(len(poses) for _, poses in run.paths):
             raise FileError("the bag has no path: name a topic of nav_msgs/msg/Path by --path")
@@ -119,7 +112,7 @@ class RecordedDriver:
         if changed:
             self.configurations.append((self._count, self._text()))
         try:
-            with np.errstate(all="ignore"):  # a damaged pose is told below, once
+            with np.errstate(all="ignore"):  # a damaged pose raises below, once
                 output = self._driver.step(pose, stamp)
             sound = bool(np.isfinite(output.command).all())
         except (ArithmeticError, LookupError, ValueError):

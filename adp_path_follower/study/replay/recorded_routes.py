@@ -89,7 +89,7 @@ class RecordedRoutes:
     def _made(
         self, number: int, settings: PathSettings, transform: tuple[float, ...]
     ) -> Route | None:
-        """Return the route of a path, None if it was refused."""
+        """Return the route of a path, None if it was rejected."""
         key = number, settings, transform
         if key not in self._prepared:
             try:

@@ -73,17 +73,16 @@ def replay(
 ) -> Replay:
     """Replay a run with the steps, the paths and the changes of parameters that it had.
 
-    A run of this package's controller holds the pose that each step went by. With
-    another controller, or an older bag, each odometry message is a step.
+    A run of this package's controller holds the pose of each step. With another controller, or an
+    older bag, each odometry message is a step.
 
     Args:
         run: The run.
         settings: Settings to replay it with; by default, the recorded ones.
-        overlay: Setting -> value that it has all the time, whatever else changed during the run.
+        overlay: Setting -> value that replaces the recorded or given one all the time.
 
     Raises:
-        FileError: The bag lacks odometry, path or configuration, or a pose is none that a robot
-            can have.
+        FileError: The bag lacks odometry, path or configuration, or a pose is impossible.
         SettingsError: The overlay does not fit.
 
     """

@@ -39,18 +39,10 @@ def republish(
 ) -> tuple[int, int]:
     """Publish /clock, odometry and path as they were recorded, by the odometry's stamps.
 
-    Args:
-        bag: The bag.
-        topics: "odom" and "path" -> their topics in it; they are published under "odom" and "path".
-        rate: Seconds of the bag in one second.
-        progress: Called with the fraction done.
-
-    Returns:
-        Number of messages that were published, and of those that cannot be decoded.
-
-    Raises:
-        AdpError: No controller listens, or no odometry can be decoded.
-
+    `topics` maps "odom" and "path" to their topics in the bag; they are published under these
+    names, `rate` seconds of the bag in one second. Returns the numbers of messages that were
+    published, and that cannot be decoded. Raises AdpError if no controller listens, or no odometry
+    can be decoded.
     """
     messages, damaged = recorded_messages(bag, topics)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -139,8 +131,8 @@ class _Player:
         while not all(item.get_subscription_count() for item in self._publishers.values()):
             if steady.monotonic() > deadline:
                 raise AdpError(
-                    f"nobody has listened to {self._publishers['odom'].topic_name} and "
-                    f"{self._publishers['path'].topic_name} for {_PATIENCE:g} s: start a "
+                    f"no controller listens to {self._publishers['odom'].topic_name} and "
+                    f"{self._publishers['path'].topic_name} after {_PATIENCE:g} s: start a "
                     "controller, as with: ros2 run adp_path_follower controller --ros-args -p "
                     "use_sim_time:=true"
                 )
@@ -169,7 +161,7 @@ def recorded_messages(
         else:
             place = min(int(np.searchsorted(arrivals, arrival)), len(stamps) - 1)
             timed.append((stamps[place], key, message))
-    # At the same time the path first, for it is what the odometry is answered by.
+    # At the same time the path first, as commands to the odometry depend on it.
     return sorted(timed, key=lambda item: (item[0], item[1] == "odom")), damaged
 
 

@@ -1,4 +1,4 @@
-"""Whether a replay learns the weights that a controller recorded."""
+"""Compares the weights that a controller recorded with those of a replay."""
 
 from dataclasses import dataclass
 
@@ -51,7 +51,7 @@ def compare_weights(run: Run, found: Replay) -> ComparedWeights:
         elif count > len(replayed):
             notes.append(
                 f"the bag has {count} sets of {kind} weights for {len(replayed)} steps: not "
-                "compared, for it is not known which belong together"
+                "compared, as it is not known which belong together"
             )
         else:
             steps, equal = _matched(recorded, replayed, found.steps.arrival)

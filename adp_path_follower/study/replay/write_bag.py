@@ -1,4 +1,4 @@
-"""Write what a replay found as a bag, which is analysed like any other."""
+"""Writes the outcome of a replay as a bag, which is analysed like any other."""
 
 import heapq
 import math
@@ -49,12 +49,9 @@ def write_replay(
         found: The replay.
         source: The bag that was replayed.
         topics: "odom", "path" and others to be copied -> their topics in `source`.
-        bag: The bag to make.
-        velocity: v, w that the robot of a closed loop had at each step, shape (N, 2), whose
-            odometry is then written in place of the recorded one.
-
-    Raises:
-        FileError: The bag exists or cannot be made.
+        bag: The bag to make; FileError if it exists or cannot be made.
+        velocity: v, w of the robot of a closed loop at each step, shape (N, 2), whose odometry then
+            replaces the recorded one.
 
     """
     copied = [topics[key] for key in _COPIED if key in topics]

@@ -109,10 +109,10 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     at_once: int | None = None,
 ) -> SimulationResult:
-    """Simulate the closed loop from one or many starts.
+    """Simulate the closed loop from one or many starts; the outcome is in their order.
 
-    Each run is as it would be alone, with a learner of its own. Many runs are worked off in
-    blocks, whose size bounds the memory: beyond it only the outcome grows with the starts.
+    Each run is as it would be alone, with a learner of its own. Many runs are simulated in blocks,
+    whose size bounds the memory: beyond it only the outcome grows with the starts.
 
     Args:
         settings: The controller's settings.
@@ -125,16 +125,13 @@ def simulate(
             until the weights settle, "frozen" never changes the weights.
         plant: Imperfections of the robot; an ideal one by default. Run number n of the starts has
             the seed of the plant plus n, whatever the controller and its rate.
-        faults: How the imperfections change with time; what it says of messages has no effect.
+        faults: How the imperfections change with time; entries about messages have no effect.
         controller: Makes the controller; `learning` matters to `PathFollower` only.
         record: Keep trajectories, which takes 16 bytes for each weight of each step of each run.
         observe: Called at every control step, with which of the starts it is about.
         progress: Called now and then with the fraction that is done.
         at_once: Runs of a block, by default as many as are fast and fit into 128 MB. The outcome
             is the same with any number.
-
-    Returns:
-        The outcome, in the order of the starts.
 
     Raises:
         AdpError: A start, a duration or a rate that is not finite and positive.

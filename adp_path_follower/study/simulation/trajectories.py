@@ -40,7 +40,7 @@ class Trajectories:
 
 
 class TrajectoryRecorder:
-    """Takes down what happens, block of runs by block."""
+    """Records the course of runs, block by block."""
 
     def __init__(self, runs: int, steps: int, period: float) -> None:
         """Expect so many runs of so many control steps, a period [s] apart."""
@@ -48,15 +48,7 @@ class TrajectoryRecorder:
         self._arrays: dict[str, FloatArray] = {}
 
     def note(self, first_run: int, step: int, output: ControlOutput, pose: FloatArray) -> None:
-        """Take down a step of some runs.
-
-        Args:
-            first_run: Number of the first of them.
-            step: Number of the step.
-            output: Output of the controller, for n runs.
-            pose: Where they are, shape (n, 3).
-
-        """
+        """Record a step of the n runs from a first one on, which are at true poses (n, 3)."""
         weights = weights_of(output)
         values = {
             "pose": pose,

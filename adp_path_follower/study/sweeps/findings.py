@@ -84,9 +84,9 @@ def findings_text(found: Findings) -> str:
     lines = [
         f"{found.trials:,} settings tried for {objectives}, on {found.before.runs:,} runs each; "
         f"{found.unstable:,} unstable in some run; "
-        f"{sum(found.refused.values()):,} refused before any run"
+        f"{sum(found.refused.values()):,} rejected before any run"
     ]
-    lines += [f"  refused {count} times: {text}" for text, count in found.refused.items()][:3]
+    lines += [f"  rejected {count} times: {text}" for text, count in found.refused.items()][:3]
     if found.before.problem:
         lines.append(f"the settings before cannot run: {found.before.problem}")
     if found.best is None:

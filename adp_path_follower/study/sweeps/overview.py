@@ -62,7 +62,7 @@ class Overview:
 
 
 def overview(sweep: Sweep, groups: Iterable[Columns]) -> Overview:
-    """Return the overview of a sweep from the runs of one combination after the other."""
+    """Return the overview of a sweep from its runs, one combination after the other."""
     count = sweep.combinations
     scores = {name: np.full(count, math.nan) for name in OBJECTIVES}
     unstable = np.zeros(count, dtype=int)

@@ -33,14 +33,9 @@ _MOST_REFUSED = 50  # one after the other: then the ranges hold nothing valid
 def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
     """Return the study of a tuning, which is made if it is missing.
 
-    Args:
-        tuning: The tuning; the study has its name.
-        storage: Address of a database, as in "sqlite:///study.db" or "postgresql://...".
-        shared: Whether other commands may work on the same study.
-
-    Raises:
-        AdpError: The database cannot be used.
-
+    `storage` is the address of a database, as in "sqlite:///study.db" or "postgresql://...";
+    `shared` says that other commands may work on the same study. Raises AdpError if the database
+    cannot be used.
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     try:

@@ -128,13 +128,9 @@ class HorizonSolver:
     ) -> Plan | None:
         """Return the best plan found from a guess; None if the solver fails.
 
-        Args:
-            start: [s, y, theta, s_p], shape (4,).
-            guess: A plan to start from.
-            curvature: Place s_p [m], kappa [1/m], kappa' and kappa'' of each step, shape (N, 4).
-            terminal: P of the terminal cost e^T P e, shape (3, 3).
-            careful: Whether to take the slower, safer solver, as the guess is poor.
-
+        `start` is [s, y, theta, s_p], shape (4,). `curvature` has place s_p [m], kappa [1/m],
+        kappa' and kappa'' of each step, shape (N, 4). `terminal` is P of the terminal cost e^T P e,
+        shape (3, 3). `careful` takes the slower, safer solver, for a poor guess.
         """
         origin = np.array([0.0, 0.0, 0.0, start[3]])  # s_p from the start: small numbers
         values = np.hstack([guess.state[:-1] - origin, guess.command]).ravel()

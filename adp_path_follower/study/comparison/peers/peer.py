@@ -48,12 +48,7 @@ class PeerController(ABC):
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
-        """Return the wanted command [v, w], shape (B, 2).
+        """Return the wanted command [v, w], shape (B, 2), for poses (B, 3), dt [s] after the last.
 
-        Args:
-            pose: Poses of the robots, shape (B, 3).
-            dt: Time since the last step [s].
-            frame: Frame of the path at the virtual targets.
-            error: e = [s, y, theta] to the virtual targets, shape (B, 3).
-
+        `frame` is the path's at the virtual targets, `error` e = [s, y, theta] to them, (B, 3).
         """

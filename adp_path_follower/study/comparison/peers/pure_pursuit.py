@@ -24,7 +24,7 @@ def pursuit_curvature(carrot: FloatArray) -> FloatArray:
     """Return the curvature [1/m] of the arc to points [x, y, ...] from the robot, shape (...)."""
     along, across = carrot[..., 0], carrot[..., 1]
     away = np.hypot(along, across)
-    # Divided twice, lest the square of a distance overflow.
+    # Divided twice, as the square of a distance could overflow.
     safe = np.maximum(away, math.sqrt(_LEAST_CARROT_SQUARED))
     curvature = 2.0 * (across / safe) / safe
     return np.asarray(np.where(away > math.sqrt(_LEAST_CARROT_SQUARED), curvature, 0.0))
@@ -153,16 +153,10 @@ class TunedRegulatedPurePursuit(RegulatedPurePursuit):
 def place_ahead(path: Path, pose: FloatArray, place: FloatArray, distance: ArrayLike) -> FloatArray:
     """Return the arc length [m] of the place looked ahead to, shape (B,).
 
-    That is the first one from the nearest place on that is a distance away from the robot: the
-    nearest place itself, if the robot is farther from the path; the farthest one in reach, if a
-    bend is too tight for any to be that far away.
-
-    Args:
-        path: The path.
-        pose: x [m], y [m], theta [rad], shape (B, 3).
-        place: Arc length of the nearest place [m], shape (B,).
-        distance: How far to look ahead [m], shape () or (B,).
-
+    Takes poses [x, y, theta] (B, 3), the arc length of their nearest places [m] (B,), and how far
+    to look ahead [m], shape () or (B,). The place is the first one from the nearest on at this
+    distance from the robot: the nearest itself, if the robot is farther from the path; the farthest
+    in reach, if a bend is too tight for any to be that far away.
     """
     distance = np.broadcast_to(np.asarray(distance, dtype=float), pose.shape[:-1])
     span = _ARC_OF_CHORD * distance[..., None]

@@ -32,11 +32,11 @@ _FIRST_WORKER = 30.0  # [s] that a scheduler has to find a worker
 _WAITING_EACH = 2  # pieces of work for each worker: it never waits for the next
 
 
-# Run by each worker: Ctrl-C, which the whole terminal gets, is the command's to answer.
+# Run by each worker: the whole terminal gets Ctrl-C, but only the command answers it.
 _NO_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 
 
-_RETRIES = 2  # of work that failed where it was done; a worker that dies is another thing
+_RETRIES = 2  # of work that failed; a worker that dies is not counted
 
 
 class Workers:
@@ -104,15 +104,10 @@ class Workers:
 
 @contextlib.contextmanager
 def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
-    """Yield the workers of a scheduler, or a process on each core of this machine.
+    """Yield the workers of a scheduler, as in "tcp://host:8786", or processes on this machine.
 
-    Args:
-        address: Address of a Dask scheduler, as in "tcp://host:8786"; None for this machine.
-        count: Number of processes on this machine.
-
-    Raises:
-        AdpError: The scheduler does not answer, has no workers, or they lack this version.
-
+    These are `count`, or one on each core. Raises AdpError if the scheduler does not answer, has no
+    workers, or they lack this version.
     """
     _silence()
     connected = _local(count) if address is None else _connected(address)

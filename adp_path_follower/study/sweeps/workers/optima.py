@@ -12,7 +12,7 @@ from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.sweeps.request.conditions import Conditions, PathSource
 
 _PATHS = ("lissajous", "line", "circle:0.5", "circle:1.0")
-_LONG_ENOUGH = 15.0  # [s]: what is left of J then is below 1e-8
+_LONG_ENOUGH = 15.0  # [s], after which J grows by less than 1e-8
 WHERE_KNOWN = (
     "J* is known for 'starts: forty' on lissajous, line, circle:0.5 and circle:1.0 from their "
     "beginning, for 15 s and more, with the default cost, speed and target_gain, and without "

@@ -1,4 +1,4 @@
-"""The folder that a long piece of work writes: of that work only, and by one command at a time."""
+"""The folder of a long piece of work: of that work only, written by one command at a time."""
 
 import fcntl
 import json
@@ -19,17 +19,11 @@ class OutputFolder:
     """A folder with a note of what it is for; what is interrupted goes on there, nothing else."""
 
     def __init__(self, directory: FilePath, kind: str, description: Mapping[str, object]) -> None:
-        """Open the folder of a piece of work, or make it.
+        """Open the folder of a piece of work, or make it, with a note KIND.json.
 
-        Args:
-            directory: The folder.
-            kind: "sweep" or "tune"; the note is KIND.json.
-            description: Everything that the results depend on, as JSON has it.
-
-        Raises:
-            FileError: It cannot be written, holds something else or results of another request or
-                version, or another command is writing there.
-
+        The kind is "sweep" or "tune"; the results depend on the `description`, as JSON has it.
+        Raises FileError if the folder cannot be written, holds something else or results of another
+        request or version, or if another command is writing there.
         """
         self.directory, self._kind = directory, kind
         self._note = directory / f"{kind}.json"
@@ -39,7 +33,7 @@ class OutputFolder:
             self._check()
             self._lock = (directory / _LOCK).open("w")
             self._claim()
-            self._check()  # again: somebody may have been here between the two
+            self._check()  # again, as another command may have written between the two
             if not self._note.exists():
                 content = {"version": __version__, kind: description}
                 self.write(self._note, (json.dumps(content, indent=1) + "\n").encode())
@@ -51,7 +45,7 @@ class OutputFolder:
             raise FileError(f"output {directory} cannot be written: {error.strerror}") from None
 
     def __enter__(self) -> Self:
-        """Return the folder, which is nobody else's until the block ends."""
+        """Return the folder, which no other command may use until the block ends."""
         return self
 
     def __exit__(

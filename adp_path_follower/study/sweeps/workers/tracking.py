@@ -13,12 +13,12 @@ from adp_path_follower.core.path.nearest import beside
 
 _LAST_SHARE = 0.2  # of a run: its end
 _SAMPLING = 0.05  # [s] between two looks
-_LONGEST_STEP = 0.5  # [m] of the search for the place abreast, which starts at the target's
+_LONGEST_STEP = 0.5  # [m] of the search for the place beside the robot, from the target's on
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """How B runs kept to the path; places and angles are the true ones."""
+    """The tracking of B runs; places and angles are the true ones."""
 
     cross_track_rms: FloatArray  # RMS distance from the path after the transient [m], shape (B,)
     cross_track_max: FloatArray  # greatest distance then [m], shape (B,)
