@@ -1,13 +1,15 @@
 """The unicycle: exact motion under held velocities, with the imperfections of a real robot."""
 
+import math
 from collections import deque
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray
-from sim_unicycle.disturbances import drive, moved_pose, on_the_ground, within_limits
+from adp_path_follower.core.geometry import FloatArray, advance_pose
 from sim_unicycle.odometry import Odometry, Reading
 from sim_unicycle.settings import PlantSettings
+
+_GRAVITY = 9.81  # [m/s^2]
 
 
 class Unicycle:
@@ -72,3 +74,70 @@ class Unicycle:
         while self._pending and self._pending[0][0] <= self._time + 1e-9:
             self._effective = self._pending.popleft()[1]
         return self._effective
+
+
+def within_limits(command: FloatArray, plant: PlantSettings) -> FloatArray:
+    """Return the command [v, w] that the robot can do, shape (..., 2)."""
+    upper = np.array([plant.max_linear_vel, plant.max_angular_vel])
+    lower = np.array([plant.min_linear_vel, -plant.max_angular_vel])
+    return np.clip(command, lower, upper)
+
+
+def drive(
+    velocity: FloatArray, wanted: FloatArray, dt: float, plant: PlantSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Return the wheels' mean velocity over a step, and the one at its end, shape (..., 2) each.
+
+    `velocity` and `wanted` are [v, w] at the beginning and as commanded, shape (..., 2); the step
+    has a length dt > 0 [s]. The exact solution of d(velocity)/dt = clip((wanted - velocity) / lag,
+    -limit, limit): a ramp while the gap is large, then the first-order response. With the mean, the
+    distance of a straight drive is exact as well.
+    """
+    lag = plant.velocity_lag
+    linear = min(plant.max_linear_accel, plant.friction * _GRAVITY)
+    limit = np.array([linear, plant.max_angular_accel])
+    bounded = np.isfinite(limit)
+    if lag == 0.0 and not bounded.any():
+        return wanted, wanted
+    gap = velocity - wanted
+    slope = np.where(bounded, limit, 1.0)
+    reach = np.where(bounded, slope * lag, np.inf)  # the gap that the lag alone closes
+    ramp = np.clip((np.abs(gap) - reach) / slope, 0.0, dt)  # [s]
+    after_ramp = gap - np.sign(gap) * slope * ramp
+    rest = dt - ramp
+    area = 0.5 * ramp * (gap + after_ramp)
+    if lag > 0.0:
+        fade = np.exp(-rest / lag)
+        area = area - after_ramp * lag * np.expm1(-rest / lag)
+    else:
+        fade = np.where(rest > 0.0, 0.0, 1.0)
+    mean_gap = area / dt
+    return wanted + mean_gap, wanted + fade * after_ramp
+
+
+def on_the_ground(wheels: FloatArray, plant: PlantSettings) -> FloatArray:
+    """Return how the robot moves with its wheels' velocities, shape (..., 2): slip and friction."""
+    moved = wheels
+    if plant.linear_slip > 0.0 or plant.angular_slip > 0.0:
+        moved = moved * np.array([1.0 - plant.linear_slip, 1.0 - plant.angular_slip])
+    if math.isfinite(plant.friction):
+        speed = np.maximum(np.abs(moved[..., 0]), 1e-9)
+        turn = np.minimum(np.abs(moved[..., 1]), plant.friction * _GRAVITY / speed)
+        moved = np.stack([moved[..., 0], np.copysign(turn, moved[..., 1])], axis=-1)
+    return moved
+
+
+def moved_pose(pose: FloatArray, twist: FloatArray, lateral: float, dt: float) -> FloatArray:
+    """Return poses [x, y, theta] after a constant twist [v, w] for dt [s], shape (..., 3).
+
+    `lateral` is the velocity to the left [m/s].
+    """
+    moved = advance_pose(pose, twist[..., 0], twist[..., 1], dt)
+    if lateral == 0.0:
+        return moved
+    # Moving to the left is moving forward with a heading that is a quarter turn further.
+    sideways = np.zeros_like(pose)
+    sideways[..., 2] = pose[..., 2] + 0.5 * math.pi
+    sideways = advance_pose(sideways, np.full(pose.shape[:-1], lateral), twist[..., 1], dt)
+    moved[..., :2] += sideways[..., :2]
+    return moved

@@ -65,11 +65,10 @@ BLOCKED = [
 ALLOWED_ROOTS = {*sys.stdlib_module_names, "numpy", "scipy", "yaml", "adp_path_follower"}
 SIMULATION = [
     "adp_path_follower.study.simulation.simulate",
-    "sim_unicycle.disturbances",
+    "sim_unicycle.unicycle",
     "sim_unicycle.fault_script",
     "sim_unicycle.odometry",
     "sim_unicycle.settings",
-    "sim_unicycle.unicycle",
 ]
 MODULES_IN_A_ROOM = 14
 

@@ -18,11 +18,11 @@ from adp_path_follower.drawing.charts import (
     Track,
     above_zero,
     drawable,
+    extremes,
     histogram,
     line_of,
     path_line,
 )
-from adp_path_follower.drawing.decimation import extremes
 
 _BUCKETS = 2000  # of a line, shared by the bags
 _GREY_BUCKETS = 200  # of a weight that is only there for the whole

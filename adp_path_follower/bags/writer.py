@@ -21,7 +21,6 @@ from adp_path_follower.bags.bag_file import (
     TopicDefinition,
 )
 from adp_path_follower.bags.installed_types import UnknownTypeError, type_text
-from adp_path_follower.bags.metadata import bag_information, write_metadata
 from adp_path_follower.core.errors import FileError
 
 __all__ = ["BagExistsError", "BagWriter", "Limits", "TopicDefinition", "UnknownTypeError"]
@@ -29,6 +28,8 @@ __all__ = ["BagExistsError", "BagWriter", "Limits", "TopicDefinition", "UnknownT
 _MOST_TOPICS = 2**16 - 1
 _RESERVE = "reserve.tmp"
 _RESERVE_BYTES = 1024 * 1024  # for messages in memory, index and metadata.yaml on a full disk
+NAME = "metadata.yaml"
+_VERSION = 9
 
 
 class BagExistsError(FileError):
@@ -230,3 +231,78 @@ class BagWriter:
             with contextlib.suppress(OSError):
                 file.close()
         shutil.rmtree(self.directory, ignore_errors=True)
+
+
+_FASTEST_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+def bag_information(
+    files: Sequence[BagFile],
+    topics: Sequence[tuple[TopicDefinition, int]],
+    custom_data: Mapping[str, str],
+) -> dict[str, Any]:
+    """Return the content of a bag's metadata.yaml.
+
+    The files are in the order they were written, the topics come with their numbers of messages,
+    and `custom_data` has entries beside the usual ones.
+    """
+    return {
+        "version": _VERSION,
+        "storage_identifier": "mcap",
+        **_span(files),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type_name,
+                    "serialization_format": topic.message_encoding,
+                    "offered_qos_profiles": list(topic.qos_profiles),
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": count,
+            }
+            for topic, count in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.name for file in files],
+        "files": [{"path": file.name, **_span([file])} for file in files],
+        "custom_data": dict(custom_data) or None,
+        "ros_distro": "jazzy",
+    }
+
+
+def write_metadata(directory: FilePath, information: Mapping[str, Any]) -> None:
+    """Write a whole metadata.yaml in one step; after an OSError the one before is still there."""
+    content = yaml.dump(
+        {"rosbag2_bagfile_information": dict(information)},
+        Dumper=_PlainDumper,
+        sort_keys=False,
+        allow_unicode=True,
+    )
+    temporary = directory / f"{NAME}.tmp"
+    try:
+        temporary.write_text(content, encoding="utf-8")
+        temporary.replace(directory / NAME)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _span(files: Sequence[BagFile]) -> dict[str, Any]:
+    """Return times and number of the messages in some files."""
+    first_times = [file.first_time for file in files if file.first_time is not None]
+    start = min(first_times, default=0)
+    return {
+        "duration": {"nanoseconds": max(file.last_time for file in files) - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(file.message_count for file in files),
+    }
+
+
+class _PlainDumper(_FASTEST_DUMPER):
+    """YAML without anchors and aliases."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        """Return True: write everything out."""
+        return True

@@ -25,8 +25,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parse_assignment
 from adp_path_follower.extras import require
-from adp_path_follower.study.replay.closed_loop import rerun
-from adp_path_follower.study.replay.replay import Replay
+from adp_path_follower.study.replay.replay import Replay, rerun
 from adp_path_follower.study.replay.replay import replay as replay_run
 from adp_path_follower.study.replay.weight_comparison import ComparedWeights, compare_weights
 from adp_path_follower.study.replay.write_bag import write_replay
@@ -127,7 +126,7 @@ def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
     """Raise AdpError for options that would do nothing beside others; the sentence names both."""
     context = click.get_current_context()
     comparisons = ("csv_file", "figure_file")
-    rules = []
+    rules: list[tuple[str, tuple[str, ...]]] = []
     if republish:
         reason = "--republish plays what was recorded to a controller with settings of its own"
         settings = ("params", "assignments", "closed_loop", "directory")

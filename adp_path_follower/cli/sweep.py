@@ -51,7 +51,7 @@ def sweep(
 
 
 def _say_how_long(asked: Sweep, scheduler: str | None, workers: int | None) -> None:
-    from adp_path_follower.study.sweeps.workers.estimate import estimate, in_words
+    from adp_path_follower.study.sweeps.workers.plan import estimate, in_words
 
     conditions = asked.conditions
     click.echo(
@@ -74,9 +74,8 @@ def _run(
     from adp_path_follower.study.sweeps.overview import overview, summary_text
     from adp_path_follower.study.sweeps.page import write_results
     from adp_path_follower.study.sweeps.workers import cluster
-    from adp_path_follower.study.sweeps.workers.estimate import in_words
     from adp_path_follower.study.sweeps.workers.parts_folder import PartsFolder
-    from adp_path_follower.study.sweeps.workers.plan import Plan
+    from adp_path_follower.study.sweeps.workers.plan import Plan, in_words
 
     begun = time.monotonic()
     plan = Plan(asked)

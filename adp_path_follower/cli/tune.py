@@ -99,7 +99,7 @@ def tune(
 
 
 def _say_how_long(asked: Tuning, scheduler: str | None, workers: int | None) -> None:
-    from adp_path_follower.study.sweeps.workers.estimate import estimate, in_words
+    from adp_path_follower.study.sweeps.workers.plan import estimate, in_words
 
     sweep = asked.runs_with(asked.conditions.settings)
     found = estimate(sweep, scheduler, workers)
@@ -132,8 +132,8 @@ def _run(
     from adp_path_follower.study.sweeps.study import open_study, tried
     from adp_path_follower.study.sweeps.study import tune as run_tuning
     from adp_path_follower.study.sweeps.workers import cluster
-    from adp_path_follower.study.sweeps.workers.estimate import in_words
     from adp_path_follower.study.sweeps.workers.output_folder import OutputFolder
+    from adp_path_follower.study.sweeps.workers.plan import in_words
 
     begun = time.monotonic()
     trials = asked.search.trials

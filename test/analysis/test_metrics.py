@@ -17,7 +17,7 @@ from adp_path_follower.analysis.metrics import METRICS, approach
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.library import lissajous
-from adp_path_follower.drawing.decimation import extremes
+from adp_path_follower.drawing.charts import extremes
 from bag_messages import (
     LINE,
     SECOND,

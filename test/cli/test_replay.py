@@ -23,8 +23,7 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.messages.configuration import configuration_text, parse_configuration
 from adp_path_follower.study.demo.closed_loop import run_closed_loop
 from adp_path_follower.study.replay import republish
-from adp_path_follower.study.replay.closed_loop import rerun
-from adp_path_follower.study.replay.replay import replay
+from adp_path_follower.study.replay.replay import replay, rerun
 from adp_path_follower.study.replay.republish import recorded_messages
 from adp_path_follower.study.replay.weight_comparison import compare_weights
 from adp_path_follower.study.simulation.simulate import PAPER_START

@@ -21,8 +21,7 @@ from adp_path_follower.bags.writer import BagExistsError, BagWriter, Limits, Unk
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import expanded
 from adp_path_follower.ros.recorder.provenance import provenance
-from adp_path_follower.ros.recorder.settings import RUN_TOPICS, RecorderSettings
-from adp_path_follower.ros.recorder.topics import topic_patterns
+from adp_path_follower.ros.recorder.settings import RUN_TOPICS, RecorderSettings, topic_patterns
 from adp_path_follower.ros.runtime.parameters import declare_settings
 from adp_path_follower.ros.runtime.run import Ending, run_node
 

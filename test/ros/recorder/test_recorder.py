@@ -26,8 +26,7 @@ from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.ros.recorder.provenance import git_revision
-from adp_path_follower.ros.recorder.settings import RecorderSettings
-from adp_path_follower.ros.recorder.topics import topic_patterns
+from adp_path_follower.ros.recorder.settings import RecorderSettings, topic_patterns
 from adp_path_follower.study.demo.processes import own_domain
 
 pytestmark = pytest.mark.nodes
