@@ -85,7 +85,7 @@ def _changes(drive: Drive) -> list[Event]:
                 for name, value in after.values.items()
                 if before.values.get(name) != value
             ]
-            if after.learning_resets > before.learning_resets:
+            if after.counts.learning_resets > before.counts.learning_resets:
                 events.append(Event(time, "parameter", "learning was reset"))
         before = after
     return events

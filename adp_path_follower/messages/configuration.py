@@ -1,11 +1,12 @@
 """The configuration of a controller, as text in a bag: written by nodes, read by analyses."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 
 import yaml
 
 from adp_path_follower import __version__
+from adp_path_follower.core.driving.counts import Counts
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import parse_yaml
 from adp_path_follower.core.path.curve import Path
@@ -14,6 +15,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, yaml_text
 
 NO_STEP = -1
+_NOTHING = Counts()
 
 
 @dataclass(frozen=True)
@@ -26,9 +28,7 @@ class Configuration:
         transform: x [m], y [m] and turn [rad] by which the path was brought from its own frame
             into the odometry's, empty where both are the same.
         after_step: Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
-        learning_resets: How often learning has been reset since the node's start.
-        restarts: How often following has begun anew from where the robot was then.
-        stops: How often the robot has been told to stop after a command.
+        counts: What happened to the robot since the node's start.
         saved_weights: Digest of the weights file that it started from, empty without one.
 
     """
@@ -37,9 +37,7 @@ class Configuration:
     path_digest: str = ""
     transform: tuple[float, ...] = ()
     after_step: int = NO_STEP
-    learning_resets: int = 0
-    restarts: int = 0
-    stops: int = 0
+    counts: Counts = _NOTHING
     saved_weights: str = ""
 
     @property
@@ -52,9 +50,7 @@ def configuration_text(
     settings: Settings,
     path: Route | Path | None,
     after_step: int = NO_STEP,
-    learning_resets: int = 0,
-    restarts: int = 0,
-    stops: int = 0,
+    counts: Counts = _NOTHING,
     saved_weights: str = "",
     transform: tuple[float, ...] = (),
 ) -> str:
@@ -63,8 +59,8 @@ def configuration_text(
     if path is not None:
         moved = f", transform: {yaml_text(transform)}" if transform else ""
         lines.append(f"path: {{digest: '{path.digest()}', length: {path.length!r}{moved}}}")
-    lines += [f"after_step: {after_step}", f"learning_resets: {learning_resets}"]
-    lines += [f"restarts: {restarts}", f"stops: {stops}"]
+    lines.append(f"after_step: {after_step}")
+    lines += [f"{name}: {count}" for name, count in asdict(counts).items()]
     if saved_weights:
         lines.append(f"saved_weights: '{saved_weights}'")
     lines.append("settings:")
@@ -96,9 +92,7 @@ def parse_configuration(text: str) -> Configuration:
         path_digest=str(path.get("digest", "")) if isinstance(path, dict) else "",
         transform=_transform(path),
         after_step=whole("after_step", NO_STEP),
-        learning_resets=whole("learning_resets", 0),
-        restarts=whole("restarts", 0),
-        stops=whole("stops", 0),
+        counts=Counts(**{field.name: whole(field.name, 0) for field in fields(Counts)}),
         saved_weights=str(content.get("saved_weights", "")),
     )
 

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.writer import BagWriter
+from adp_path_follower.core.driving.counts import Counts
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
@@ -151,8 +152,9 @@ def test_a_run_by_timer_replays_through_all_that_changes(peer, start, tmp_path, 
     assert len(run.paths) == 2
     changes = [parse_configuration(text) for _, text in run.configurations]
     # The last words are a stop; a busy machine may add some, each with a configuration.
-    assert len(changes) == 4 + changes[-1].stops > 4
-    assert [key for key, _ in groupby(change.learning_resets for change in changes)] == [0, 1]
+    assert len(changes) == 4 + changes[-1].counts.stops > 4
+    resets = [change.counts.learning_resets for change in changes]
+    assert [key for key, _ in groupby(resets)] == [0, 1]
     speeds = [change.values["desired_speed"] for change in changes]
     assert [key for key, _ in groupby(speeds)] == [0.5, 0.4]
     found = replay(run)
@@ -227,7 +229,7 @@ def test_an_interrupted_player_is_exit_code_130(bag, tmp_path, monkeypatch):
 
 def test_what_a_configuration_says_is_read_again():
     settings, path = load_settings(Settings, "path_follower"), lissajous()
-    found = parse_configuration(configuration_text(settings, path, 12, 3))
+    found = parse_configuration(configuration_text(settings, path, 12, Counts(3, 2, 1)))
     assert found.settings == settings
     assert (found.path_digest, found.after_step) == (path.digest(), 12)
-    assert found.learning_resets == 3
+    assert found.counts == Counts(learning_resets=3, restarts=2, stops=1)

@@ -8,15 +8,13 @@ from collections import deque
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray, components, unpacked
+from adp_path_follower.core.path.reversing import turned_command
 from adp_path_follower.core.settings.groups import LimitSettings, MotionSettings, Settings
 
 _LONGEST_DELAY = 1.0  # [s]: the highest actuation_delay; older commands are forgotten
 
 
 _LEAST_PERIOD, _MOST_PERIOD = 1e-6, 0.1  # [s]: after a pause a command does not make up for it
-
-
-_TURNED = np.array([-1.0, 1.0])  # of v and w
 
 
 class Actuation:
@@ -51,8 +49,8 @@ class Actuation:
 
     def turn_round(self) -> None:
         """Tell the same to a robot that faces the other way: forwards is backwards."""
-        self.command, self._rate = self.command * _TURNED, self._rate * _TURNED
-        self._sent = deque((sent, command * _TURNED) for sent, command in self._sent)
+        self.command, self._rate = turned_command(self.command), turned_command(self._rate)
+        self._sent = deque((sent, turned_command(command)) for sent, command in self._sent)
 
     def advance(self, elapsed: float) -> None:
         """Let time pass until the next command, `elapsed` [s] after the last one."""

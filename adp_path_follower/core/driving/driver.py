@@ -11,14 +11,22 @@ import numpy as np
 from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.driving.arrival import Standstill
 from adp_path_follower.core.driving.command_law import FollowerOutput
+from adp_path_follower.core.driving.counts import Counts
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.core.driving.reversing import reversed_output, reversed_settings
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.learning.weights_file import SavedWeights
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.reversing import (
+    turned_command,
+    turned_error,
+    turned_pose,
+    turned_settings,
+)
 from adp_path_follower.core.path.route import Route, Segment, route_of
 from adp_path_follower.core.settings.groups import Settings
+
+_NOTHING = Counts()
 
 
 @dataclass(frozen=True)
@@ -39,10 +47,8 @@ class Driver:
     Attributes:
         settings: All settings.
         route: The route to follow, None without one.
-        learning_resets: How often learning has been reset.
-        restarts: How often following has begun anew from where the robot was then.
+        counts: What happened to it so far.
         saved_weights: Weights of another run to start from, None without.
-        stops: How often the robot has been told to stop after a command.
 
     """
 
@@ -51,6 +57,7 @@ class Driver:
         settings: Settings,
         saved_weights: SavedWeights | None = None,
         tell: Callable[[str], object] = bool,
+        counts: Counts = _NOTHING,
     ) -> None:
         """Begin without a path.
 
@@ -58,14 +65,13 @@ class Driver:
             settings: All settings.
             saved_weights: Weights of another run to start from, on paths for which they hold.
             tell: Called with a sentence where they do not.
+            counts: What happened to the robot before.
 
         """
         self.settings = settings
         self.saved_weights, self._tell = saved_weights, tell
         self.route: Route | None = None
-        self.learning_resets = 0
-        self.restarts = 0
-        self.stops = 0
+        self.counts = counts
         self._actuation = Actuation()  # as the robot of the present segment is told
         self._faces_back = False  # that robot, other than the real one
         self._segment = 0
@@ -79,7 +85,7 @@ class Driver:
     def follower(self) -> PathFollower | None:
         """Return the follower of the present segment, None before the first step on the route.
 
-        In reverse it is that of a robot which faces the other way (`reversing`).
+        In reverse it is that of a robot which faces the other way (`core.path.reversing`).
         """
         return self._follower
 
@@ -158,7 +164,7 @@ class Driver:
         self._to_learn = False
         if self._follower is not None:
             self._follower.reset_learning()
-        self.learning_resets += 1
+        self._count(learning_resets=self.counts.learning_resets + 1)
 
     def restart(self) -> bool:
         """Begin anew where the robot will be, which may have been carried; return if it had begun.
@@ -169,7 +175,7 @@ class Driver:
             return False
         self._learned, self._follower = self._follower, None
         self._segment, self._standstill = 0, None
-        self.restarts += 1
+        self._count(restarts=self.counts.restarts + 1)
         return True
 
     def stopped(self) -> bool:
@@ -177,8 +183,21 @@ class Driver:
         if self._actuation.stopped:
             return False
         self._actuation.stop()
-        self.stops += 1
+        self._count(stops=self.counts.stops + 1)
         return True
+
+    def catch_up(self, counts: Counts) -> None:
+        """Do what the robot met until it had these counts, as far as it is not done yet."""
+        if counts.learning_resets != self.counts.learning_resets:
+            self.reset_learning()
+        if counts.stops != self.counts.stops:
+            self.stopped()
+        if counts.restarts != self.counts.restarts:
+            self.restart()
+        self.counts = counts
+
+    def _count(self, **changed: int) -> None:
+        self.counts = dataclasses.replace(self.counts, **changed)
 
     def step(self, pose: FloatArray, time: int) -> FollowerOutput:
         """Return the command of `command_for`, and learn from the step."""
@@ -217,7 +236,21 @@ class Driver:
         return self._own(self._output)
 
     def _own(self, output: FollowerOutput) -> FollowerOutput:
-        return reversed_output(output) if self._present.reverse else output
+        """Return an output in the real robot's terms, if its follower's faces the other way.
+
+        The target pose has the heading that the robot should have, and curvature is positive to
+        the robot's left.
+        """
+        if not self._present.reverse:
+            return output
+        return dataclasses.replace(
+            output,
+            command=turned_command(output.command),
+            modified_input=turned_command(output.modified_input),
+            error=turned_error(output.error),
+            target_pose=turned_pose(output.target_pose),
+            curvature=-output.curvature,
+        )
 
     def _resting(self, pose: FloatArray) -> FollowerOutput:
         """Return zero velocity for a robot (3,) at the end of a segment, and how far it is off."""
@@ -236,7 +269,7 @@ class Driver:
         )
 
     def _of_segment(self, settings: Settings) -> Settings:
-        return reversed_settings(settings) if self._present.reverse else settings
+        return turned_settings(settings) if self._present.reverse else settings
 
     def _begin(self, pose: FloatArray) -> None:
         assert self.route is not None  # the caller waits for one

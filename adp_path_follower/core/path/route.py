@@ -10,6 +10,7 @@ import numpy as np
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.nearest import best_place
+from adp_path_follower.core.path.reversing import turned_pose
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Segment:
 
     def heading_of_path(self, pose: FloatArray) -> FloatArray:
         """Return a robot's pose (3,) with the heading that it moves to: turned by pi in reverse."""
-        return pose + np.array([0.0, 0.0, np.pi]) if self.reverse else pose
+        return turned_pose(pose) if self.reverse else pose
 
 
 @dataclass(frozen=True)

@@ -388,8 +388,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         path = self._parts.path.followed
         self._parts.telemetry.configuration(
             configuration_text(
-                *(driver.settings, driver.route, after),
-                *(driver.learning_resets, driver.restarts, driver.stops),
+                *(driver.settings, driver.route, after, driver.counts),
                 *(self._weights.digest, () if path is None else path.transform),
             )
         )

@@ -6,6 +6,7 @@ import numpy as np
 
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.driving.command_law import FollowerOutput
+from adp_path_follower.core.driving.counts import Counts
 from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import FileError
@@ -68,13 +69,10 @@ class RecordedDriver:
             raise FileError(NO_SETTINGS)
         saved = _saved_weights(run, self._next)
         self._saved_weights = "" if saved is None else saved.digest
-        self._driver = Driver(self._wanted(self._next), saved)
+        counts = Counts() if self._next is None else self._next.counts
+        self._driver = Driver(self._wanted(self._next), saved, counts=counts)
         if self._next is None:
             self._driver.follow(self._routes.last(self._driver.settings))
-        else:
-            self._driver.learning_resets = self._next.learning_resets
-            self._driver.restarts = self._next.restarts
-            self._driver.stops = self._next.stops
 
     def _wanted(self, recorded: Configuration | None) -> Settings:
         """Return the settings to drive with where these were recorded."""
@@ -130,9 +128,7 @@ class RecordedDriver:
             driver.settings,
             driver.route,
             after_step=self._last,
-            learning_resets=driver.learning_resets,
-            restarts=driver.restarts,
-            stops=driver.stops,
+            counts=driver.counts,
             saved_weights=self._saved_weights,
             transform=self._transform,
         )
@@ -140,15 +136,7 @@ class RecordedDriver:
     def _change(self, change: Configuration) -> None:
         """Take over a path, settings or a reset of learning, as the node did."""
         driver = self._driver
-        if change.learning_resets != driver.learning_resets:
-            driver.reset_learning()
-            driver.learning_resets = change.learning_resets
-        if change.stops != driver.stops:
-            driver.stopped()
-            driver.stops = change.stops
-        if change.restarts != driver.restarts:
-            driver.restart()
-            driver.restarts = change.restarts
+        driver.catch_up(change.counts)
         route = self._routes.of(change)
         self._transform = change.transform
         if route is not driver.route:
@@ -158,7 +146,7 @@ class RecordedDriver:
 
 def _saved_weights(run: Run, first: Configuration | None) -> SavedWeights | None:
     """Return the weights that a controller started from; FileError if missing or damaged."""
-    if first is None or not first.saved_weights or first.learning_resets:
+    if first is None or not first.saved_weights or first.counts.learning_resets:
         return None
     if not run.initial_weights:
         raise FileError(

@@ -154,7 +154,7 @@ def test_after_a_stop_it_starts_from_rest_and_without_one_it_goes_on():
     pose, time = driven(driver, np.array([1.0, 0.0, 0.0]), 0, 100, commands)
     assert driver.stopped()
     assert not driver.stopped()
-    assert driver.stops == 1
+    assert driver.counts.stops == 1
     again = []
     driven(driver, pose, time, 30, again)
     assert_within_acceleration_limits(again)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from adp_path_follower.core.driving.arrival import Standstill
 from adp_path_follower.core.driving.driver import Driver
-from adp_path_follower.core.driving.reversing import reversed_settings
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import tracking_error
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.path.reversing import turned_settings
 from adp_path_follower.core.path.route import Route, Segment
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import build, update
@@ -51,7 +51,7 @@ def drive(driver, pose, steps, stop_at_goal=True):
 def test_backwards_is_forwards_for_a_robot_that_faces_the_other_way():
     path = Path.from_points(wave())
     start = np.array([0.1, -0.1, 0.4])
-    ahead = Driver(update(reversed_settings(REVERSING), {"allow_reversing": False}))
+    ahead = Driver(update(turned_settings(REVERSING), {"allow_reversing": False}))
     ahead.follow(path)
     back = Driver(REVERSING)
     back.follow(Route((Segment(path, reverse=True),)))
