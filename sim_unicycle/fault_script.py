@@ -47,6 +47,10 @@ class FaultScript:
         self._known: tuple[SimulatorSettings, tuple[FaultEntry, ...], SimulatorSettings] | None
         self._known = None
 
+    def __repr__(self) -> str:
+        """Return all entries."""
+        return f"FaultScript({self.entries})"
+
     def settings_at(self, settings: SimulatorSettings, time: float) -> SimulatorSettings:
         """Return settings with the changes at a time [s]; SettingsError if they do not fit."""
         if not self.entries:

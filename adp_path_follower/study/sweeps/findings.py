@@ -2,6 +2,7 @@
 
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path as FilePath
 from typing import Any
@@ -225,32 +226,21 @@ def _better(found: Findings, best: Score) -> bool:
 
 def _table(before: Score, best: Score) -> str:
     unit = "J/J*" if best.relative else "J"
-    rows: list[tuple[str, str | float, str | float]] = [
-        ("", "before", "found"),
-        (f"{unit}, mean", before.objectives["cost"], best.objectives["cost"]),
-        (f"{unit}, median", before.median, best.median),
-        (f"{unit}, 95 %", before.high, best.high),
-        (f"{unit}, greatest", before.largest, best.largest),
-        ("effort, mean", before.objectives["effort"], best.objectives["effort"]),
-        (
-            "cross-track RMS [m]",
-            before.objectives["cross_track"],
-            best.objectives["cross_track"],
-        ),
-        (
-            "cross-track, greatest [m]",
-            before.objectives["worst_cross_track"],
-            best.objectives["worst_cross_track"],
-        ),
-        ("unstable runs", str(before.unstable), str(best.unstable)),
-    ]
-    return "\n".join(f"{name:28}{_cell(first):>12}{_cell(last):>12}" for name, first, last in rows)
-
-
-def _cell(value: str | float) -> str:
-    if isinstance(value, str):
-        return value
-    return f"{value:.4f}" if value < 1e6 else "–"
+    numbers: dict[str, Callable[[Score], float]] = {
+        f"{unit}, mean": lambda score: score.objectives["cost"],
+        f"{unit}, median": lambda score: score.median,
+        f"{unit}, 95 %": lambda score: score.high,
+        f"{unit}, greatest": lambda score: score.largest,
+        "effort, mean": lambda score: score.objectives["effort"],
+        "cross-track RMS [m]": lambda score: score.objectives["cross_track"],
+        "cross-track, greatest [m]": lambda score: score.objectives["worst_cross_track"],
+    }
+    rows: list[tuple[str, ...]] = [("", "before", "found")]
+    for name, of in numbers.items():
+        cells = [f"{value:.4f}" if value < 1e6 else "–" for value in (of(before), of(best))]
+        rows.append((name, *cells))
+    rows.append(("unstable runs", str(before.unstable), str(best.unstable)))
+    return "\n".join(f"{name:28}{first:>12}{last:>12}" for name, first, last in rows)
 
 
 def _importance_lines(found: Findings, best: FrozenTrial) -> list[str]:

@@ -16,7 +16,7 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import is_path_file, named_path, path_through, read_points
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.core.settings.schema import build, flatten, setting, update
+from adp_path_follower.core.settings.schema import build, setting, update
 from adp_path_follower.study.simulation.robot import without_nodes
 from adp_path_follower.study.simulation.simulate import HIGHEST_RATE, LEARNING_MODES, PAPER_START
 from adp_path_follower.study.sweeps.request.entries import errors_in, section
@@ -109,11 +109,6 @@ class Robot:
         entries += [entry.values for entry in self.faults.entries]
         return any(bool(values.get(name, 0.0)) for values in entries for name in _NOISY)
 
-    def description(self) -> str:
-        """Return everything that its runs depend on, as text."""
-        script = [[item.at, item.duration, item.every, item.values] for item in self.faults.entries]
-        return repr((self.plant, script))
-
 
 @dataclass(frozen=True)
 class Conditions:
@@ -128,20 +123,6 @@ class Conditions:
     robots: tuple[Robot, ...]  # robots that follow them
     noise_seeds: tuple[int, ...]  # numbers of the noise sequences
     run: RunSettings  # duration, rate and learning of the runs
-
-    def description(self) -> dict[str, object]:
-        """Return everything that the results depend on, ready for JSON."""
-        return {
-            "settings": {name: repr(value) for name, value in flatten(self.settings).items()},
-            "starts": self.starts.tolist(),
-            "paths": [[path.name, path.digest, path.closed] for path in self.paths],
-            "robots": [[robot.name, robot.description()] for robot in self.robots],
-            "noise_seeds": list(self.noise_seeds),
-            "duration": self.run.duration,
-            "rate": self.run.rate,
-            "learning": self.run.learning,
-            "start_arc_length": self.run.start_arc_length,
-        }
 
 
 def read_conditions(

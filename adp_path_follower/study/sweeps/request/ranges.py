@@ -32,10 +32,6 @@ class Listed:
         """Return the setting's name."""
         return self.field.name
 
-    def description(self) -> list[object]:
-        """Return name and values, ready for JSON."""
-        return [self.name, [repr(value) for value in self.values]]
-
 
 @dataclass(frozen=True)
 class Range:
@@ -56,10 +52,6 @@ class Range:
     def integer(self) -> bool:
         """Return whether its values are whole numbers."""
         return (self.field.item_kind or self.field.kind) is int
-
-    def description(self) -> list[object]:
-        """Return name and range, ready for JSON."""
-        return [self.name, self.low, self.high, self.log]
 
     def number_in(self, value: Value) -> float:
         """Return the number that is varied from a value of the setting."""

@@ -30,10 +30,12 @@ class Request:
         base = flatten(self.conditions.settings)
         return build(Settings, {**base, **settings_values(values, base)})
 
-    def description(self) -> dict[str, object]:
-        """Return everything that the results depend on, ready for JSON."""
-        varied = [item.description() for item in self.variations]
-        return {**self.conditions.description(), "varied": varied}
+    def description(self) -> dict[str, str]:
+        """Return everything that the results depend on: name -> text."""
+        found = {**vars(self.conditions.run), **vars(self.conditions), **vars(self)}
+        for name in ("conditions", "run", "objectives"):  # those give the others; these only judge
+            del found[name]
+        return {name: _text(value) for name, value in found.items()}
 
     @property
     def digest(self) -> str:
@@ -97,14 +99,6 @@ class Sweep(Request):
             shown = ", ".join(f"{name}: {value}" for name, value in varied.items())
             raise SettingsError(f"the combination {shown} is not allowed: {error}") from None
 
-    def description(self) -> dict[str, object]:
-        """Return everything that the results depend on, ready for JSON."""
-        return {
-            **super().description(),
-            "samples": len(self.points) if self.points.size else 0,
-            "samples_seed": self.samples_seed,
-        }
-
 
 @dataclass(frozen=True)
 class SearchSettings:
@@ -131,11 +125,14 @@ class Tuning(Request):
         )
         return Sweep(self.conditions, changed, self.objectives, np.zeros((1, 0)))
 
-    def description(self) -> dict[str, object]:
-        """Return everything but the number of trials that the results depend on, for JSON."""
-        return {
-            **super().description(),
-            "objectives": list(self.objectives),
-            "seed": self.search.seed,
-            "at_once": self.search.at_once,
-        }
+    def description(self) -> dict[str, str]:
+        """Return everything that the results depend on, which the number of trials is not."""
+        found = {**super().description(), "objectives": repr(self.objectives)}
+        return {**found, "search": repr((self.search.seed, self.search.at_once))}
+
+
+def _text(value: object) -> str:
+    """Return a text that tells a value from others."""
+    if isinstance(value, np.ndarray):
+        return f"{value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+    return repr(value)

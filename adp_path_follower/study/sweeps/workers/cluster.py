@@ -1,18 +1,18 @@
 """Workers on all cores of this machine, or on an existing Dask cluster."""
 
 import contextlib
-import itertools
 import logging
 import os
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from types import FrameType
 from typing import Any, TypeVar
 
-from distributed import Client, LocalCluster, as_completed
+from distributed import Client, LocalCluster
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.scheduler import KilledWorker
 from distributed.security import Security
@@ -80,26 +80,18 @@ class Workers:
     def results(
         self, function: Callable[[Work], Any], work: Iterable[Work]
     ) -> Iterator[tuple[Work, Any]]:
-        """Return each piece of work with its result, as they are done; raises as `result` does.
+        """Return each piece of work with its result, in order; raises as `result` does.
 
         Only a few pieces are under way at any time, however many there are.
         """
-        waiting = iter(work)
-        under_way: dict[Any, Work] = {}
-
-        def begin(most: int) -> list[Any]:
-            begun = {
-                self.begin(function, piece): piece for piece in itertools.islice(waiting, most)
-            }
-            under_way.update(begun)
-            return list(begun)
-
-        finished = as_completed(begin(_WAITING_EACH * self.count), loop=self._client.loop)
-        for future in finished:
-            found = self.result(future)
-            yield under_way.pop(future), found
-            # More workers may have come meanwhile.
-            finished.update(begin(max(1, _WAITING_EACH * self.count - len(under_way))))
+        under_way: deque[tuple[Work, Any]] = deque()
+        for piece in work:
+            under_way.append((piece, self.begin(function, piece)))
+            while len(under_way) >= _WAITING_EACH * self.count:  # workers come and go
+                first, future = under_way.popleft()
+                yield first, self.result(future)
+        for first, future in under_way:
+            yield first, self.result(future)
 
 
 @contextlib.contextmanager
