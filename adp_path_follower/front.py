@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core.errors import AdpError, PathError
-from adp_path_follower.core.files import expanded, read_csv_columns
+from adp_path_follower.core.files import expanded
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path, path_through
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings as read_settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.resources import FORTY_STARTS, parameter_file
+from adp_path_follower.resources import parameter_file
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 
 if TYPE_CHECKING:
@@ -236,7 +236,9 @@ def _robot(given: Mapping[str, object] | None) -> tuple[PlantSettings, FaultScri
 
 def _starts(given: ArrayLike | None) -> np.ndarray:
     if given is None:
-        return read_csv_columns(FORTY_STARTS, ("s", "y", "theta"))
+        from adp_path_follower.study.simulation.simulate import read_starts
+
+        return read_starts()
     try:
         return np.asarray(given, dtype=float).reshape(-1, 3)
     except (TypeError, ValueError):

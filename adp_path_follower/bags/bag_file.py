@@ -29,29 +29,19 @@ class TopicDefinition:
     metadata: Mapping[str, str] = field(default_factory=dict)  # further metadata of the channel
 
 
-@dataclass(frozen=True)
-class FileFormat:
-    """How the files of a bag are written."""
-
-    chunked: bool = False  # gather messages in chunks, with an index and checksums
-    compression: str = "none"  # how chunks are packed: "none" or "zstd"
-    background: bool = False  # write in a thread
-
-
 class BagFile:
     """A file with its own schemas, channels, index and statistics."""
 
-    def __init__(self, path: FilePath, file_format: FileFormat) -> None:
+    def __init__(self, path: FilePath, chunked: bool, zstd: bool, background: bool) -> None:
         """Create the file; raise OSError if it exists or cannot be written."""
         self.name = path.name
         self.message_count = 0
         self.first_time: int | None = None
         self.last_time = 0
         self._stream: BinaryIO | BackgroundFile = (
-            BackgroundFile(path) if file_format.background else path.open("xb")
+            BackgroundFile(path) if background else path.open("xb")
         )
-        zstd = file_format.compression == "zstd"
-        self._chunked = file_format.chunked or zstd
+        self._chunked = chunked or zstd
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._in_chunk = 0  # [bytes] in the chunk that was open when the file ended at `_end`
         self._is_finished = False

@@ -6,6 +6,7 @@ statistics and the final metadata.yaml.
 """
 
 import contextlib
+import functools
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,6 @@ import yaml
 from adp_path_follower.bags.bag_file import (
     RECORD_OVERHEAD,
     BagFile,
-    FileFormat,
     TopicDefinition,
 )
 from adp_path_follower.bags.installed_types import UnknownTypeError, type_text
@@ -90,7 +90,9 @@ class BagWriter:
         self.directory = directory
         self._custom_data = dict(custom_data or {})
         self._information = dict(information or {})
-        self._format = FileFormat(chunked, compression, background)
+        self._new_file = functools.partial(
+            BagFile, chunked=chunked, zstd=compression == "zstd", background=background
+        )
         self._limits = limits or Limits()
         self._topics: dict[int, _Topic] = {}
         self._files: list[BagFile] = []
@@ -214,7 +216,7 @@ class BagWriter:
 
     def _start_file(self) -> None:
         name = f"{self.directory.name}_{len(self._files)}.mcap"
-        file = BagFile(self.directory / name, self._format)
+        file = self._new_file(self.directory / name)
         for topic in self._topics.values():
             file.add_topic(topic.definition)
         self._files.append(file)

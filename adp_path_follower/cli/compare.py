@@ -20,15 +20,15 @@ from adp_path_follower.cli.options import (
     start_options,
 )
 from adp_path_follower.cli.outputs import output_directory, write_json
-from adp_path_follower.core.files import output_to, read_csv_columns
+from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.resources import FORTY_STARTS
 from adp_path_follower.study.comparison.controllers import known_controllers
 from adp_path_follower.study.simulation.robot import without_nodes
+from adp_path_follower.study.simulation.simulate import read_starts
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.comparison.compare import Comparison, Outcome
@@ -101,7 +101,7 @@ def compare(
     if starts or starts_file is not None:
         errors = collect_starts(starts, starts_file)
     else:
-        errors = np.asarray(read_csv_columns(FORTY_STARTS, ("s", "y", "theta")))
+        errors = read_starts()
     paths = {name: named_path(name, settings.path) for name in path_names or ("lissajous",)}
     problems = []
     with output_directory(directory, keep=True):
@@ -203,25 +203,19 @@ def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> N
 
 def _numbers(found: Comparison) -> dict[str, Any]:
     """Return what compare.json holds of one path."""
+    quantiles = {"cost_ratio_median": 0.5, "cost_ratio_p95": 0.95, "cost_ratio_max": 1.0}
+    names = ["cost", "failed", "settling_time", "effort", "cross_track_rms", "cross_track_max"]
     return {
         "path": found.path_name,
-        "starts": found.starts.tolist(),
-        "optimal_cost": found.optimal_cost.tolist(),
-        "problems": list(found.problems),
-        "notes": list(found.notes),
+        "starts": found.starts,
+        "optimal_cost": found.optimal_cost,
+        "problems": found.problems,
+        "notes": found.notes,
         "controllers": [
             {
                 "name": item.name,
-                "cost_ratio_median": item.quantile(0.5),
-                "cost_ratio_p95": item.quantile(0.95),
-                "cost_ratio_max": item.quantile(1.0),
-                "cost": item.cost.tolist(),
-                "failed": item.failed.tolist(),
-                "settling_time": item.settling_time.tolist(),
-                "effort": item.effort.tolist(),
-                "cross_track_rms": item.cross_track_rms,
-                "cross_track_max": item.cross_track_max,
-                "step_time": item.step_time,
+                **{name: item.quantile(share) for name, share in quantiles.items()},
+                **{name: getattr(item, name) for name in [*names, "step_time"]},
             }
             for item in found.outcomes
         ],

@@ -10,12 +10,11 @@ from typing import Any, TypeVar
 import click
 import numpy as np
 
-from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.library import PATH_HELP
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import parameter_file
-from adp_path_follower.study.simulation.simulate import PAPER_START
+from adp_path_follower.study.simulation.simulate import PAPER_START, read_starts
 from sim_unicycle.settings import SimulatorSettings
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -179,7 +178,7 @@ def collect_starts(
     """Return the initial errors of --start and --starts, shape (B, 3); may raise FileError."""
     errors = np.array(starts, dtype=float).reshape(-1, 3)
     if starts_file is not None:
-        errors = np.vstack([errors, read_csv_columns(starts_file, ("s", "y", "theta"))])
+        errors = np.vstack([errors, read_starts(starts_file)])
     return errors if len(errors) else np.array([PAPER_START])
 
 

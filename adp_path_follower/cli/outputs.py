@@ -101,6 +101,8 @@ def _finite(content: Any) -> Any:
         return {key: _finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
         return [_finite(value) for value in content]
+    if isinstance(content, np.ndarray | np.generic):
+        return _finite(content.tolist())
     if isinstance(content, float) and not math.isfinite(content):
         return None
     return content

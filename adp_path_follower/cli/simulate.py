@@ -150,21 +150,20 @@ def _starting_from(file: FilePath, settings: Settings) -> ControllerFactory:
 
 def _runs(result: SimulationResult) -> list[dict[str, object]]:
     """Return the runs as JSON has them."""
-    return [
-        {
-            "start": result.starts[run].tolist(),
-            "cost": float(result.cost[run]),
-            "final_error": result.final_error[run].tolist(),
-            "settled": bool(np.isfinite(result.settling_time[run])),
-            "settling_time": float(result.settling_time[run]),
-            "max_inputs": result.max_inputs[run].tolist(),
-            "critic_weights": result.weights.critic[run].tolist(),
-            "actor_weights": result.weights.actor[run].tolist(),
-            "excitation": float(result.excitation[run]),
-            "failed": bool(result.failed[run]),
-        }
-        for run in range(len(result.starts))
-    ]
+    columns = {
+        "start": result.starts,
+        "cost": result.cost,
+        "final_error": result.final_error,
+        "settled": np.isfinite(result.settling_time),
+        "settling_time": result.settling_time,
+        "max_inputs": result.max_inputs,
+        "critic_weights": result.weights.critic,
+        "actor_weights": result.weights.actor,
+        "excitation": result.excitation,
+        "failed": result.failed,
+    }
+    runs = range(len(result.starts))
+    return [{name: values[run] for name, values in columns.items()} for run in runs]
 
 
 def _table(result: SimulationResult) -> str:

@@ -62,15 +62,10 @@ class NodeProcess:
             for name, value in parameters.items()
             for part in ("-p", f"{name}:={yaml_text(value)}")
         ]
-        self.process = self._started([executable, "--ros-args", *settings, *arguments], environment)
-
-    def _started(
-        self, arguments: list[str], environment: dict[str, str]
-    ) -> subprocess.Popen[bytes]:
-        """Start an executable with arguments and return the process."""
-        with self.log.open("wb") as output:
-            return subprocess.Popen(  # noqa: S603  # our own executable
-                [sys.executable, "-m", "adp_path_follower.ros.runtime.entry", *arguments],
+        command = [sys.executable, "-m", "adp_path_follower.ros.runtime.entry", executable]
+        with log.open("wb") as output:
+            self.process = subprocess.Popen(  # noqa: S603  # our own executable
+                [*command, "--ros-args", *settings, *arguments],
                 env=environment,
                 stdin=subprocess.DEVNULL,
                 stdout=output,

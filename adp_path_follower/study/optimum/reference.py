@@ -1,6 +1,5 @@
 """The stored optimum of the paper's problem, and costs compared with it."""
 
-import importlib.resources
 import json
 import math
 
@@ -16,6 +15,7 @@ from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.drawing.run_figures import ReferenceMotion
+from adp_path_follower.resources import FORTY_STARTS
 from adp_path_follower.study.simulation.simulate import PAPER_START
 
 COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
@@ -23,7 +23,7 @@ COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
 
 def paper_optimum() -> ReferenceMotion:
     """Return the optimum from the paper's start, which comes with the package."""
-    file = importlib.resources.files("adp_path_follower") / "data" / "paper_optimum.json"
+    file = FORTY_STARTS.with_name("paper_optimum.json")
     content = json.loads(file.read_text(encoding="utf-8"))
     return ReferenceMotion(
         cost=float(content["cost"]),

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,13 @@ from adp_path_follower.core.control.interface import Controller, ControlOutput
 from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import update
+from adp_path_follower.resources import FORTY_STARTS
 from adp_path_follower.study.simulation.trajectories import (
     Trajectories,
     TrajectoryRecorder,
@@ -90,6 +93,11 @@ class SimulationResult:
             f"SimulationResult({runs}: {cost} (median), {len(settled)} settled"
             f"{after}, {int(self.failed.sum())} failed)"
         )
+
+
+def read_starts(file: FilePath = FORTY_STARTS) -> FloatArray:
+    """Return the starts in a CSV file, by default the forty of the reference, shape (B, 3)."""
+    return read_csv_columns(file, ("s", "y", "theta"))
 
 
 def simulate(

@@ -1,7 +1,6 @@
 """The conditions of the runs: starts, paths, robots, noise and duration."""
 
 import hashlib
-import importlib.resources
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,7 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.files import expanded, read_csv_columns
+from adp_path_follower.core.files import expanded
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import is_path_file, named_path, path_through, read_points
@@ -18,7 +17,12 @@ from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, setting, update
 from adp_path_follower.study.simulation.robot import without_nodes
-from adp_path_follower.study.simulation.simulate import HIGHEST_RATE, LEARNING_MODES, PAPER_START
+from adp_path_follower.study.simulation.simulate import (
+    HIGHEST_RATE,
+    LEARNING_MODES,
+    PAPER_START,
+    read_starts,
+)
 from adp_path_follower.study.sweeps.request.entries import errors_in, section
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
 from sim_unicycle.fault_script import FaultScript
@@ -145,13 +149,6 @@ def read_conditions(
     )
 
 
-def forty_starts() -> FloatArray:
-    """Return the forty starts of the reference, shape (40, 3)."""
-    file = importlib.resources.files("adp_path_follower") / "data" / "forty_starts.csv"
-    with importlib.resources.as_file(file) as path:
-        return read_csv_columns(path, ("s", "y", "theta"))
-
-
 def _base_settings(entries: Mapping[str, object], folder: FilePath) -> Settings:
     """Return the settings of `params` with the changes of `set`."""
     params = entries.get("params")
@@ -167,13 +164,13 @@ def _file(entry: str, value: object, folder: FilePath) -> FilePath:
 
 def _starts(given: object, folder: FilePath) -> FloatArray:
     if given == FORTY:
-        return forty_starts()
+        return read_starts()
     if isinstance(given, Mapping):
         if "file" in given:
             if len(given) > 1:
                 raise SettingsError(_STARTS_FORM)
             named = _file("file", given["file"], folder)
-            return _checked_starts(read_csv_columns(named, ("s", "y", "theta")))
+            return _checked_starts(read_starts(named))
         with errors_in("starts"):
             return _random_starts({str(name): value for name, value in given.items()})
     return _checked_starts(given)

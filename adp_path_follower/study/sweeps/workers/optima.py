@@ -1,6 +1,5 @@
 """The cost of the optimum, where it is known: that of the forty starts of the reference."""
 
-import importlib.resources
 import math
 
 import numpy as np
@@ -9,8 +8,10 @@ from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
+from adp_path_follower.resources import FORTY_STARTS
 from adp_path_follower.study.sweeps.request.conditions import Conditions, PathSource
 
+_COSTS = FORTY_STARTS.with_name("forty_starts_optimum.csv")
 _PATHS = ("lissajous", "line", "circle:0.5", "circle:1.0")
 _LONG_ENOUGH = 15.0  # [s], after which J grows by less than 1e-8
 WHERE_KNOWN = (
@@ -34,7 +35,7 @@ def optimal_costs(conditions: Conditions, settings: Settings, source: PathSource
         and conditions.run.duration >= _LONG_ENOUGH
         and _reference_problem(conditions.settings, settings)
     )
-    return _table()[:, _PATHS.index(name)] if known else unknown
+    return read_csv_columns(_COSTS, _PATHS)[:, _PATHS.index(name)] if known else unknown
 
 
 def _reference_problem(base: Settings, settings: Settings) -> bool:
@@ -55,9 +56,3 @@ def _same_name(name: str) -> str:
     if not name.startswith("circle:"):
         return name
     return f"circle:{float(name.removeprefix('circle:'))}"  # read before as a path
-
-
-def _table() -> FloatArray:
-    file = importlib.resources.files("adp_path_follower") / "data" / "forty_starts_optimum.csv"
-    with importlib.resources.as_file(file) as path:
-        return read_csv_columns(path, _PATHS)

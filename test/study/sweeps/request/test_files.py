@@ -17,7 +17,8 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
-from adp_path_follower.study.sweeps.request.conditions import PathSource, forty_starts
+from adp_path_follower.study.simulation.simulate import read_starts
+from adp_path_follower.study.sweeps.request.conditions import PathSource
 from adp_path_follower.study.sweeps.request.files import read_sweep, read_tuning
 from adp_path_follower.study.sweeps.request.ranges import Range
 from adp_path_follower.study.sweeps.workers.optima import optimal_costs
@@ -151,7 +152,7 @@ def test_what_the_results_depend_on_changes_the_digest(tmp_path):
 
 def test_the_optimum_is_that_of_the_reference_and_known_only_there(tmp_path):
     reference = json.loads((ROOT / "test" / "data" / "optimum.json").read_text())["forty_starts"]
-    assert forty_starts().tolist() == reference["e0"]
+    assert read_starts().tolist() == reference["e0"]
     free = "set: {min_linear_vel: -.inf, max_linear_vel: .inf, max_angular_vel: .inf}\n"
     conditions = sweep_of(tmp_path, free + "starts: forty").conditions
     for name in ("lissajous", "line", "circle:0.5", "circle:1"):
