@@ -229,7 +229,7 @@ def _settings(given: SettingsLike) -> Settings:
 
 
 def _robot(given: Mapping[str, object] | None) -> tuple[PlantSettings, FaultScript]:
-    from adp_path_follower.study.simulation.robot import without_nodes
+    from adp_path_follower.study.simulation.simulate import without_nodes
 
     return without_nodes(build(SimulatorSettings, given or {}))
 

@@ -27,8 +27,7 @@ from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.study.comparison.controllers import known_controllers
-from adp_path_follower.study.simulation.robot import without_nodes
-from adp_path_follower.study.simulation.simulate import read_starts
+from adp_path_follower.study.simulation.simulate import read_starts, without_nodes
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.comparison.compare import Comparison, Outcome

@@ -26,11 +26,11 @@ from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.criteria import SETTLED
-from adp_path_follower.study.simulation.robot import without_nodes
 from adp_path_follower.study.simulation.simulate import (
     LEARNING_MODES,
     ControllerFactory,
     SimulationResult,
+    without_nodes,
 )
 from adp_path_follower.study.simulation.simulate import (
     simulate as run_simulation,

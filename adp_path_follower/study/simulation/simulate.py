@@ -15,20 +15,20 @@ from adp_path_follower.core.control.cost import MotionCost
 from adp_path_follower.core.control.interface import Controller, ControlOutput
 from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.core.settings.schema import update
+from adp_path_follower.core.settings.schema import flatten, setting_fields, update
 from adp_path_follower.resources import FORTY_STARTS
 from adp_path_follower.study.simulation.trajectories import (
     Trajectories,
     TrajectoryRecorder,
     weights_of,
 )
-from sim_unicycle.fault_script import FaultScript
+from sim_unicycle.fault_script import FaultScript, read_fault_script
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
 
@@ -330,3 +330,27 @@ def _joined(blocks: list[SimulationResult], trajectories: Trajectories | None) -
     return SimulationResult(
         **joined, weights=Weights(critic, actor), step_time=step_time, trajectories=trajectories
     )
+
+
+def without_nodes(settings: SimulatorSettings) -> tuple[PlantSettings, FaultScript]:
+    """Return the parts of the simulator's settings that a simulation without ROS uses.
+
+    Raises FileError if the fault script cannot be read, and SettingsError for anything that only
+    the simulator node can do.
+    """
+    script = read_fault_script(settings.simulation.fault_script)
+    message_fault = script.changes_messages()
+    if message_fault:
+        raise SettingsError(
+            f"fault_script changes '{message_fault}', but there are no messages here: give it to "
+            "adp demo"
+        )
+    values, plain = flatten(settings), flatten(SimulatorSettings())
+    for field in setting_fields(SimulatorSettings):
+        taken = field.group == "plant" or field.name == "fault_script"
+        if not taken and values[field.name] != plain[field.name]:
+            raise SettingsError(
+                f"setting '{field.name}' is of the simulator node, which does not run here: leave "
+                "it out, or use adp demo"
+            )
+    return settings.plant, script

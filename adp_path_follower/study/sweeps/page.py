@@ -15,9 +15,9 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.drawing.figure_style import COLORS
 from adp_path_follower.drawing.page import write_page
 from adp_path_follower.study.sweeps.overview import Overview, shown, write_settings
+from adp_path_follower.study.sweeps.request.conditions import WHERE_KNOWN
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
 from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
-from adp_path_follower.study.sweeps.workers.optima import WHERE_KNOWN
 
 _ROWS = 25
 _MOST_MAPS = 6

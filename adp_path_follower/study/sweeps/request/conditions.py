@@ -9,19 +9,20 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.files import expanded
+from adp_path_follower.core.files import expanded, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import is_path_file, named_path, path_through, read_points
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, setting, update
-from adp_path_follower.study.simulation.robot import without_nodes
+from adp_path_follower.resources import FORTY_STARTS
 from adp_path_follower.study.simulation.simulate import (
     HIGHEST_RATE,
     LEARNING_MODES,
     PAPER_START,
     read_starts,
+    without_nodes,
 )
 from adp_path_follower.study.sweeps.request.entries import errors_in, section
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
@@ -39,6 +40,14 @@ _MOST_SEED = 2**31 - 1
 _MOST_SEEDS = 100_000
 _FARTHEST = 1e9  # [m]
 _NOISY = ("position_noise", "heading_noise", "position_drift", "heading_drift", "odometry_drop")
+_COSTS = FORTY_STARTS.with_name("forty_starts_optimum.csv")
+_PATHS = ("lissajous", "line", "circle:0.5", "circle:1.0")
+_LONG_ENOUGH = 15.0  # [s], after which J grows by less than 1e-8
+WHERE_KNOWN = (
+    "J* is known for 'starts: forty' on lissajous, line, circle:0.5 and circle:1.0 from their "
+    "beginning, for 15 s and more, with the default cost, speed and target_gain, and without "
+    "limits"
+)
 
 
 @dataclass(frozen=True)
@@ -237,3 +246,40 @@ def _noise_seeds(given: object, robots: tuple[Robot, ...], starts: int) -> tuple
             "noisy: give one position_noise, or leave noise_seeds out"
         )
     return tuple(sorted(seeds))
+
+
+def optimal_costs(conditions: Conditions, settings: Settings, source: PathSource) -> FloatArray:
+    """Return J* of each start, of the ideal robot, shape (B,); NaN where it is not known.
+
+    The cost that counts is that of `conditions`; speed, target and limits are those of `settings`.
+    """
+    unknown = np.full(len(conditions.starts), math.nan)
+    name = _same_name(source.name)
+    known = (
+        conditions.forty
+        and name in _PATHS
+        and conditions.run.start_arc_length == 0.0
+        and conditions.run.duration >= _LONG_ENOUGH
+        and _reference_problem(conditions.settings, settings)
+    )
+    return read_csv_columns(_COSTS, _PATHS)[:, _PATHS.index(name)] if known else unknown
+
+
+def _reference_problem(base: Settings, settings: Settings) -> bool:
+    standard = build(Settings, {})
+    target, motion = settings.target, settings.motion
+    return (
+        base.cost == standard.cost
+        and target.desired_speed == standard.target.desired_speed
+        and target.target_gain == standard.target.target_gain
+        and settings.limits.unlimited
+        and not motion.limited
+        and math.isinf(motion.max_lateral_accel)
+    )
+
+
+def _same_name(name: str) -> str:
+    """Return the name by which the table has a circle, however its curvature is written."""
+    if not name.startswith("circle:"):
+        return name
+    return f"circle:{float(name.removeprefix('circle:'))}"  # read before as a path

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.study.sweeps.request.conditions import optimal_costs
 from adp_path_follower.study.sweeps.request.request import Sweep
 from adp_path_follower.study.sweeps.workers.cluster import workers
-from adp_path_follower.study.sweeps.workers.optima import optimal_costs
 from adp_path_follower.study.sweeps.workers.runs import (
     MOST_AT_ONCE,
     Batch,

@@ -18,10 +18,9 @@ from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.study.simulation.simulate import read_starts
-from adp_path_follower.study.sweeps.request.conditions import PathSource
+from adp_path_follower.study.sweeps.request.conditions import PathSource, optimal_costs
 from adp_path_follower.study.sweeps.request.files import read_sweep, read_tuning
 from adp_path_follower.study.sweeps.request.ranges import Range
-from adp_path_follower.study.sweeps.workers.optima import optimal_costs
 from adp_path_follower.study.sweeps.workers.plan import Plan
 from folders import ROOT
 

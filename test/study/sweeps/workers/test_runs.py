@@ -21,8 +21,12 @@ from adp_path_follower.study.sweeps.request.objectives import (
     pareto_front,
     unstable_runs,
 )
-from adp_path_follower.study.sweeps.workers.runs import MEASURES, Batch, simulate_batch
-from adp_path_follower.study.sweeps.workers.tracking import TrackingMeter
+from adp_path_follower.study.sweeps.workers.runs import (
+    MEASURES,
+    Batch,
+    TrackingMeter,
+    simulate_batch,
+)
 from folders import CONFIG
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings
