@@ -1,7 +1,5 @@
 """The analysis of one bag, small enough to keep beside those of others."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

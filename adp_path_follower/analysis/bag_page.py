@@ -1,7 +1,5 @@
 """The page about analysed bags: one file that opens without network."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The figures of analysed bags as PNG files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path as FilePath

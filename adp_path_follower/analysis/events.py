@@ -1,7 +1,5 @@
 """Events of a run: state changes, faults, parameter changes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The figures of the page, as Plotly has them."""
 
-from __future__ import annotations
-
 import html
 import math
 from collections.abc import Sequence

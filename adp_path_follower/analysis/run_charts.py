@@ -3,8 +3,6 @@
 Everything here is decimated, so that it stays small however long the bag is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

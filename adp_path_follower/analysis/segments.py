@@ -1,7 +1,5 @@
 """Which segment of a route a recorded robot was driving, from its poses alone."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

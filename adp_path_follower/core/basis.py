@@ -1,7 +1,5 @@
 """Bases of the value function: sigma(zeta) and its gradient sigma'(zeta)."""
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable
@@ -19,20 +17,12 @@ Numbers = tuple[FloatArray, ...]  # of shape (...) each, or of one robot
 
 @dataclass(frozen=True)
 class HalfTurn:
-    """The half-angle frame at states, numbers of shape (...) each.
+    """The half-angle frame at states, numbers of shape (...) each."""
 
-    Attributes:
-        a: Position error along the direction half way between path and robot [m].
-        b: Position error across it [m].
-        cos: Cosine of half the heading error.
-        sin: Sine of half the heading error.
-
-    """
-
-    a: FloatArray
-    b: FloatArray
-    cos: FloatArray
-    sin: FloatArray
+    a: FloatArray  # position error along the direction half way between path and robot [m]
+    b: FloatArray  # position error across it [m]
+    cos: FloatArray  # cosine of half the heading error
+    sin: FloatArray  # sine of half the heading error
 
     def pulled_back(self, slope: Numbers) -> Numbers:
         """Return derivatives by (s, y, theta, ...) from those by (a, b, theta, ...)."""
@@ -61,17 +51,12 @@ class Expansion:
 
     At the robot only products of sigma' with weights and with rates are needed. Contracting
     before the chain rule is applied to three or four numbers, not to L rows of them.
-
-    Attributes:
-        value: sigma, shape (..., L).
-        partials: Derivatives by the basis's own V variables, shape (..., V, L): 3 without phi.
-        frame: The frame of these variables, None if it is that of the states.
-
     """
 
-    value: FloatArray
+    value: FloatArray  # sigma, shape (..., L)
+    # Derivatives by the basis's own V variables, shape (..., V, L): 3 without phi.
     partials: FloatArray
-    frame: HalfTurn | None = None
+    frame: HalfTurn | None = None  # the frame of these variables, None if it is that of the states
 
     def slope(self, weights: FloatArray) -> Numbers:
         """Return W^T sigma' for weights (..., L): four numbers of shape (...)."""

@@ -1,7 +1,5 @@
 """Files: read with errors that name file, line and remedy, and written whole or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import os

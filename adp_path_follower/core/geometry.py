@@ -1,7 +1,5 @@
 """Angles and planar poses; every function broadcasts over leading axes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -4,8 +4,6 @@ Plugins are the modules that register such parts. `ADP_PLUGINS` names them, as m
 files with commas between; they are imported when a name is asked for that nobody knows yet.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """The recent commands of a robot: the last one, and commands that are still under way."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

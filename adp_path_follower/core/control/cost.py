@@ -1,7 +1,5 @@
 """The running cost, and what motion between two control steps costs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from adp_path_follower.core.control import error_dynamics

@@ -6,8 +6,6 @@ function broadcasts over leading axes. v_des is the speed along the path [m/s] a
 place, of shape (...), or one number for all.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from adp_path_follower.core.geometry import (

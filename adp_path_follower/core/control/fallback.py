@@ -7,8 +7,6 @@ Where that does not hold, or V is much smaller than the Riccati solution's value
 is not to be trusted, and the Riccati policy drives.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The policy far from the path, where nothing is learned."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol
 

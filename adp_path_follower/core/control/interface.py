@@ -1,7 +1,5 @@
 """The interface of every path-following controller here."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """The policy u = -1/2 R^-1 g^T sigma'^T Wa, and the limits of the command."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -8,8 +8,6 @@ Linearised about the path, the error dynamics are e' = A(kappa) e + B u with
 whose value function is e^T P e with P from 0 = A^T P + P A - P B R^-1 B^T P + Q.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_continuous_are
 

@@ -1,7 +1,5 @@
 """Whether a robot has come to the end of its path, or stands beside it."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -15,8 +15,6 @@ Weights that change along the path add (dWc/ds_p)^T sigma s_p' to (4). Every fun
 over the leading axes (...) of a batch of robots.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,40 +69,23 @@ class FollowerOutput(ControlOutput):
 
 @dataclass(frozen=True)
 class Situation:
-    """The state of equation (1), and the value function there.
+    """The state of equation (1), and the value function there."""
 
-    Attributes:
-        zeta: The state, shape (..., 4).
-        curvature: kappa at the target [1/m], shape (...).
-        v_des: Speed along the path there [m/s], shape (...), or one number for all.
-        feedforward: [v_ss, w_ss], shape (..., 2).
-        heading: cos and sin of the heading error, numbers of shape (...).
-        expansion: sigma and sigma'.
-        local: The weights.
-
-    """
-
-    zeta: FloatArray
-    curvature: FloatArray
-    v_des: Number
-    feedforward: FloatArray
-    heading: Numbers
-    expansion: Expansion
-    local: LocalWeights
+    zeta: FloatArray  # the state, shape (..., 4)
+    curvature: FloatArray  # kappa at the target [1/m], shape (...)
+    v_des: Number  # speed along the path there [m/s], shape (...), or one number for all
+    feedforward: FloatArray  # [v_ss, w_ss], shape (..., 2)
+    heading: Numbers  # cos and sin of the heading error, numbers of shape (...)
+    expansion: Expansion  # sigma and sigma'
+    local: LocalWeights  # the weights
 
 
 @dataclass(frozen=True)
 class Unforced:
-    """The rates of state and value at u = 0.
+    """The rates of state and value at u = 0."""
 
-    Attributes:
-        drift: f, four numbers of shape (...).
-        passing: (dWc/ds_p)^T sigma s_p', because the target moves on, shape (...).
-
-    """
-
-    drift: Numbers
-    passing: FloatArray
+    drift: Numbers  # f, four numbers of shape (...)
+    passing: FloatArray  # (dWc/ds_p)^T sigma s_p', because the target moves on, shape (...)
 
 
 class CommandLaw:

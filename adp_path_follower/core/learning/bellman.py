@@ -1,7 +1,5 @@
 """Bellman errors, their regressors and the excitation certificate."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,18 +9,11 @@ from adp_path_follower.core.geometry import FloatArray
 
 @dataclass(frozen=True)
 class BellmanErrors:
-    """Bellman errors at N states.
+    """Bellman errors at N states."""
 
-    Attributes:
-        error: delta, shape (..., N).
-        regressor: omega, shape (..., N, L).
-        normalization: p = sqrt(1 + omega^T omega), shape (..., N).
-
-    """
-
-    error: FloatArray
-    regressor: FloatArray
-    normalization: FloatArray
+    error: FloatArray  # delta, shape (..., N)
+    regressor: FloatArray  # omega, shape (..., N, L)
+    normalization: FloatArray  # p = sqrt(1 + omega^T omega), shape (..., N)
 
     @property
     def information(self) -> FloatArray:

@@ -6,8 +6,6 @@ the weights is constant, so a sweep over all samples is a few matrix products on
 prepared once.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from adp_path_follower.core.control import error_dynamics

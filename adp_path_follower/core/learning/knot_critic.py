@@ -4,8 +4,6 @@ With the matrix A and the vector b of the equations, least squares take Wc = -A^
 gradient follows Wc' = -eta (A Wc + b) / N.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -23,17 +21,12 @@ _LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular
 
 @dataclass(frozen=True)
 class CriticUpdate:
-    """The critic of a knot after its update.
+    """The critic of a knot after its update."""
 
-    Attributes:
-        weights: Wc from now on, shape (L,); the Riccati solution's if the update was refused.
-        excitation: The samples' certificate of excitation.
-        refusal: Why the update was refused, empty if it was not; the actor takes `weights` as well.
-
-    """
-
+    # Wc from now on, shape (L,); the Riccati solution's if the update was refused.
     weights: FloatArray
-    excitation: float
+    excitation: float  # the samples' certificate of excitation
+    # Why the update was refused, empty if it was not; the actor takes `weights` as well.
     refusal: str
 
 

@@ -29,20 +29,12 @@ _RIDGE = 1e-9  # on the normal equations' unit diagonal
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Weighted sums over samples for min_w sum_j c_j (r_j + w^T x_j)^2.
+    """Weighted sums over samples for min_w sum_j c_j (r_j + w^T x_j)^2."""
 
-    Attributes:
-        matrix: sum_j c_j x_j x_j^T, shape (L, L).
-        vector: sum_j c_j r_j x_j, shape (L,).
-        offset: sum_j c_j r_j^2.
-        running_cost: sum_j c_j (e^T Q e + u^T R u)^2, what the residual is compared with.
-
-    """
-
-    matrix: FloatArray
-    vector: FloatArray
-    offset: float
-    running_cost: float
+    matrix: FloatArray  # sum_j c_j x_j x_j^T, shape (L, L)
+    vector: FloatArray  # sum_j c_j r_j x_j, shape (L,)
+    offset: float  # sum_j c_j r_j^2
+    running_cost: float  # sum_j c_j (e^T Q e + u^T R u)^2, what the residual is compared with
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
         """Return the sums over the samples of both."""
@@ -56,18 +48,12 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class KnotFit:
-    """The weights of one knot with the least Bellman errors.
+    """The weights of one knot with the least Bellman errors."""
 
-    Attributes:
-        critic_weights: Shape (L,); not finite where the samples do not determine them.
-        residual: Root of the weighted mean square Bellman error over that of the running cost.
-        excitation: The certificate: LAPACK's estimate of 1 / |M^-1|_1, M the rank condition's
-            matrix scaled to a unit diagonal; the smallest singular value is hardly smaller.
-
-    """
-
-    critic_weights: FloatArray
-    residual: float
+    critic_weights: FloatArray  # shape (L,); not finite where the samples do not determine them
+    residual: float  # root of the weighted mean square Bellman error over that of the running cost
+    # The certificate: LAPACK's estimate of 1 / |M^-1|_1, M the rank condition's matrix scaled to a
+    # unit diagonal; the smallest singular value is hardly smaller.
     excitation: float
 
 

@@ -3,8 +3,6 @@
 Between two knots a distance h apart, Wc(s_p) and Wa(s_p) are linear, so dWc/ds_p is constant.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -17,17 +17,12 @@ from adp_path_follower.core.settings.learning import LearningSettings
 
 @dataclass(frozen=True)
 class Observation:
-    """What a learner can know of the robots, besides its samples; it takes what it needs.
+    """What a learner can know of the robots, besides its samples; it takes what it needs."""
 
-    Attributes:
-        arc_length: Where their targets are [m], shape (...).
-        measure: Returns the Bellman errors of the present weights at the measured states.
-        distance: How far ahead of the targets to settle weights that change along the path [m].
-
-    """
-
-    arc_length: FloatArray
+    arc_length: FloatArray  # where their targets are [m], shape (...)
+    # Returns the Bellman errors of the present weights at the measured states.
     measure: Callable[[], BellmanErrors]
+    # How far ahead of the targets to settle weights that change along the path [m].
     distance: float = 0.0
 
 

@@ -1,7 +1,5 @@
 """The paper's learner: one set of weights for the whole path, which the basis knows by phi."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule

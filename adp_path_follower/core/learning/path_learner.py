@@ -16,8 +16,6 @@ Every robot has weights of its own, as its actor follows the critic while it is 
 sweep the same knots share the sweep, at once or one after the other.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -56,14 +54,9 @@ MODEL_SETTINGS = (  # that decide what is learned
 
 @dataclass(frozen=True)
 class SampleEvidence:
-    """How well the samples of each robot's latest knot determine its weights.
+    """How well the samples of each robot's latest knot determine its weights."""
 
-    Attributes:
-        excitation: The certificate, shape (...); not a number before the first knot.
-
-    """
-
-    excitation: FloatArray
+    excitation: FloatArray  # the certificate, shape (...); not a number before the first knot
 
 
 class PathLearner:

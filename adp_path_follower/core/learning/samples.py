@@ -1,7 +1,5 @@
 """Sampled states: a grid about the origin, or scattered Sobol points."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray

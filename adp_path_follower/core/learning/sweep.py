@@ -5,8 +5,6 @@ from those of knot k + 1: they have the least Bellman errors for the policy of k
 least squares they depend on nothing else, so robots that are near one another share a sweep.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,26 +69,16 @@ class Sweep:
 
 @dataclass
 class Group:
-    """Robots that began the same sweep in the same step, and go through it together.
+    """Robots that began the same sweep in the same step, and go through it together."""
 
-    Attributes:
-        robots: Their indices, shape (n,).
-        sweep: The sweep.
-        index: How many of its knots they have passed.
-        slots: Where their weights of the present knot are stored, shape (n,).
-        done: How many samples of that knot are worked off for them.
-        time: How long they have been at it [s].
-        refused: Whether an update of this sweep was refused.
-
-    """
-
-    robots: np.ndarray
-    sweep: Sweep
-    index: int = 0
+    robots: np.ndarray  # their indices, shape (n,)
+    sweep: Sweep  # the sweep
+    index: int = 0  # how many of its knots they have passed
+    # Where their weights of the present knot are stored, shape (n,).
     slots: np.ndarray | None = None
-    done: int = 0
-    time: float = 0.0
-    refused: bool = False
+    done: int = 0  # how many samples of that knot are worked off for them
+    time: float = 0.0  # how long they have been at it [s]
+    refused: bool = False  # whether an update of this sweep was refused
 
     def next_knot(self) -> None:
         """Turn to the next knot."""

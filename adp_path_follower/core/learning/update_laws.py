@@ -11,8 +11,6 @@ exact solution and never diverges, however long the period or large the gain. It
 symmetric solve. The actor's law is a first-order lag, solved exactly.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

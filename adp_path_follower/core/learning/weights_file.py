@@ -6,8 +6,6 @@ path, on its curvature; not on where the path lies, so a path that was moved or 
 keeps them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import math
@@ -39,18 +37,11 @@ _AGAIN = "save it again with ~/save_weights, or leave 'weights_file' empty"
 
 @dataclass(frozen=True)
 class SavedWeights:
-    """What was learned, and what it belongs to.
+    """What was learned, and what it belongs to."""
 
-    Attributes:
-        settings: Setting -> value, of those that state the problem.
-        learned: The weights.
-        digest: Hash of the file, empty before there is one.
-
-    """
-
-    settings: Mapping[str, Value]
-    learned: LearnedWeights
-    digest: str = ""
+    settings: Mapping[str, Value]  # setting -> value, of those that state the problem
+    learned: LearnedWeights  # the weights
+    digest: str = ""  # hash of the file, empty before there is one
 
 
 def problem_settings(settings: Settings) -> dict[str, Value]:

@@ -49,38 +49,22 @@ class TurningBackError(PathError):
 
 @dataclass(frozen=True)
 class PathFrame:
-    """The Serret-Frenet frame of a path at one or many arc lengths.
+    """The Serret-Frenet frame of a path at one or many arc lengths."""
 
-    Attributes:
-        pose: x [m], y [m] and tangent angle theta_f [rad], shape (..., 3).
-        curvature: kappa [1/m], positive to the left, shape (...).
-
-    """
-
-    pose: FloatArray
-    curvature: FloatArray
+    pose: FloatArray  # x [m], y [m] and tangent angle theta_f [rad], shape (..., 3)
+    curvature: FloatArray  # kappa [1/m], positive to the left, shape (...)
 
 
 @dataclass(frozen=True)
 class PathSamples:
-    """Places along a path, shape (M,) each.
+    """Places along a path, shape (M,) each."""
 
-    Attributes:
-        arc_length: s_p [m].
-        x: Position [m].
-        y: Position [m].
-        cos: Cosine of the heading.
-        sin: Sine of the heading.
-        curvature: kappa [1/m].
-
-    """
-
-    arc_length: FloatArray
-    x: FloatArray
-    y: FloatArray
-    cos: FloatArray
-    sin: FloatArray
-    curvature: FloatArray
+    arc_length: FloatArray  # s_p [m]
+    x: FloatArray  # position [m]
+    y: FloatArray  # position [m]
+    cos: FloatArray  # cosine of the heading
+    sin: FloatArray  # sine of the heading
+    curvature: FloatArray  # kappa [1/m]
 
 
 class Path:

@@ -4,8 +4,6 @@ A path is named ``lissajous`` (the paper's figure eight), ``line``, ``circle:KAP
 signed curvature in 1/m, or by a CSV or YAML file.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path as FilePath

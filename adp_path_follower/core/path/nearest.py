@@ -4,8 +4,6 @@ A path may cross itself, and the nearest place on the whole path would then jump
 the other. A search near the last place stays on its branch.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,18 +20,11 @@ _SPACING = 0.1  # [m] of the candidates there
 
 @dataclass(frozen=True)
 class Projection:
-    """Poses beside a path; one row for each pose.
+    """Poses beside a path; one row for each pose."""
 
-    Attributes:
-        arc_length: Place abreast of the robot [m]; grows over the laps of a closed path.
-        cross_track: Distance from the path [m], positive to its left.
-        heading: Heading less that of the path [rad], in [-pi, pi).
-
-    """
-
-    arc_length: FloatArray
-    cross_track: FloatArray
-    heading: FloatArray
+    arc_length: FloatArray  # place abreast of the robot [m]; grows over the laps of a closed path
+    cross_track: FloatArray  # distance from the path [m], positive to its left
+    heading: FloatArray  # heading less that of the path [rad], in [-pi, pi)
 
 
 def best_place(path: Path, pose: FloatArray) -> tuple[FloatArray, FloatArray]:

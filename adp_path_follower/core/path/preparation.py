@@ -6,8 +6,6 @@ motion turns by more than 135 degrees within the tolerance (a cusp), and where t
 that the robot changes between driving forwards and backwards, the route is cut.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass
@@ -31,18 +29,12 @@ _SAID = {"auto": None, "open": False, "closed": True}
 
 @dataclass(frozen=True)
 class _Poses:
-    """Distinct positions of a message.
+    """Distinct positions of a message."""
 
-    Attributes:
-        points: Shape (N, 2) [m].
-        headings: Shape (N,) [rad], NaN where a pose says none; None if no pose does.
-        index: Number of each in the message, (N,).
-
-    """
-
-    points: FloatArray
+    points: FloatArray  # shape (N, 2) [m]
+    # Shape (N,) [rad], NaN where a pose says none; None if no pose does.
     headings: FloatArray | None
-    index: np.ndarray
+    index: np.ndarray  # number of each in the message, (N,)
 
     def place(self, number: int) -> str:
         """Return number and place of a pose, for messages."""

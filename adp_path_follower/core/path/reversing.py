@@ -5,8 +5,6 @@ and the same angular velocity. That robot follows the path forwards; the functio
 between the two.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray

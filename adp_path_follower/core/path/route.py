@@ -1,7 +1,5 @@
 """Routes: the paths that a robot drives one after the other, forwards or backwards."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 
@@ -15,16 +13,10 @@ from adp_path_follower.core.path.reversing import turned_pose
 
 @dataclass(frozen=True)
 class Segment:
-    """A path that is driven in one go.
+    """A path that is driven in one go."""
 
-    Attributes:
-        path: The path, in the direction of motion.
-        reverse: Whether the robot drives along it backwards.
-
-    """
-
-    path: Path
-    reverse: bool = False
+    path: Path  # the path, in the direction of motion
+    reverse: bool = False  # whether the robot drives along it backwards
 
     def heading_of_path(self, pose: FloatArray) -> FloatArray:
         """Return a robot's pose (3,) with the heading that it moves to: turned by pi in reverse."""

@@ -9,8 +9,6 @@ blend over the width of their kernels, so the curvature stays continuous; and as
 takes part is within the tolerance there, so is the blend.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -37,18 +35,11 @@ _CHORD_PLACES = np.array([0.125, 0.3, 0.5, 0.7, 0.875])  # where a chord is comp
 
 @dataclass(frozen=True)
 class Grid:
-    """A curve at even steps of a parameter.
+    """A curve at even steps of a parameter."""
 
-    Attributes:
-        values: Points (M, 2) [m]; those of a closed curve do not repeat the first.
-        step: Between two of them, along the polyline [m].
-        closed: Whether the last one joins the first.
-
-    """
-
-    values: FloatArray
-    step: float
-    closed: bool
+    values: FloatArray  # points (M, 2) [m]; those of a closed curve do not repeat the first
+    step: float  # between two of them, along the polyline [m]
+    closed: bool  # whether the last one joins the first
 
     @property
     def mode(self) -> str:
@@ -58,20 +49,12 @@ class Grid:
 
 @dataclass(frozen=True)
 class Interpolation:
-    """The C2 spline through points by their chord lengths.
+    """The C2 spline through points by their chord lengths."""
 
-    Attributes:
-        spline: Maps the parameter to points [m].
-        parameter: That of each point, (N,) [m].
-        points: Shape (N, 2) [m]; those of a closed path end with the first.
-        closed: Whether the path is closed.
-
-    """
-
-    spline: CubicSpline
-    parameter: FloatArray
-    points: FloatArray
-    closed: bool
+    spline: CubicSpline  # maps the parameter to points [m]
+    parameter: FloatArray  # that of each point, (N,) [m]
+    points: FloatArray  # shape (N, 2) [m]; those of a closed path end with the first
+    closed: bool  # whether the path is closed
 
     def places(self, tolerance: float) -> tuple[FloatArray, float]:
         """Return parameters at even steps, fine enough for a tolerance [m], and the step."""

@@ -1,7 +1,5 @@
 """Checks odometry messages against the clock, their limits and the ones before."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -19,16 +17,11 @@ _MEMORY = 0.5  # [s] over which motion that velocities do not explain adds up
 
 @dataclass(frozen=True)
 class OdometryProblem:
-    """A reason to reject an odometry message.
+    """A reason to reject an odometry message."""
 
-    Attributes:
-        text: One sentence.
-        lasts: Whether `resume` must be called before the robot drives on, because the robot or its
-            place may have changed.
-
-    """
-
-    text: str
+    text: str  # one sentence
+    # Whether `resume` must be called before the robot drives on, because the robot or its place may
+    # have changed.
     lasts: bool = False
 
 

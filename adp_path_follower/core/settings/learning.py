@@ -1,7 +1,5 @@
 """The settings of the learner and of the policy far from the path."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

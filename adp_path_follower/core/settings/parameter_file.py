@@ -1,7 +1,5 @@
 """ROS parameter files: settings from YAML and ``NAME=VALUE``, and back to YAML."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath

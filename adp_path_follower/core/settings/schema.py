@@ -6,8 +6,6 @@ are made by `setting`. Names are unique over the tree, so a YAML file, a ROS par
 declaration, so they cannot disagree.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import math

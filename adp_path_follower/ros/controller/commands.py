@@ -1,7 +1,5 @@
 """The controller's commands, and that the last one is always to stop."""
 
-from __future__ import annotations
-
 import threading
 import time as steady
 from collections.abc import Callable

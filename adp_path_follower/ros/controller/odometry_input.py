@@ -1,7 +1,5 @@
 """The topic `odom`: what comes in is read, checked, and taken or rejected."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from nav_msgs.msg import Odometry

@@ -1,7 +1,5 @@
 """The parts of the controller node between configuration and cleanup."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +13,7 @@ from adp_path_follower.ros.controller.watchdog import Watchdog
 
 @dataclass(frozen=True)
 class ControllerParts:
-    """Publishers, subscriptions, services and timers of a configured controller.
-
-    Attributes:
-        entities: Pairs of what destroys something of the node, and that.
-
-    """
+    """Publishers, subscriptions, services and timers of a configured controller."""
 
     commands: Commands
     telemetry: Telemetry
@@ -28,7 +21,7 @@ class ControllerParts:
     path: PathInput
     speed_limit: SpeedLimitInput
     watchdog: Watchdog
-    entities: list[tuple[Any, Any]]
+    entities: list[tuple[Any, Any]]  # pairs of what destroys something of the node, and that
 
     def destroy(self) -> None:
         """Destroy all of it; what tells the robot to stop goes last."""

@@ -1,7 +1,5 @@
 """The topic `path`: what comes in is prepared aside, then taken over, rejected, or removed."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace

@@ -4,8 +4,6 @@ The control thread only hands over bytes and takes back a finished route; anothe
 what becomes of them (`path_fitting`). A newer path supersedes an older one that is in the works.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -25,41 +23,24 @@ _CLOSING_TIME = 0.5  # [s], longer than most paths take
 
 @dataclass(frozen=True, eq=False)
 class PathRequest:
-    """A path to be read; the same path that comes again is another request.
+    """A path to be read; the same path that comes again is another request."""
 
-    Attributes:
-        raw: A serialised nav_msgs/Path.
-        settings: Settings to prepare it with.
-        odom_frame: Frame that it is needed in, empty while that is not known.
-
-    """
-
-    raw: bytes = field(repr=False)
-    settings: PathSettings
-    odom_frame: str
+    raw: bytes = field(repr=False)  # A serialised nav_msgs/Path
+    settings: PathSettings  # settings to prepare it with
+    odom_frame: str  # frame that it is needed in, empty while that is not known
 
 
 @dataclass(frozen=True)
 class PathAnswer:
-    """The outcome of a path request.
+    """The outcome of a path request."""
 
-    Attributes:
-        request: The request.
-        frame: Frame of the message.
-        route: The route in the odometry's frame; None if it was rejected.
-        transform: x [m], y [m], turn [rad] of the message's frame in the odometry's, empty if they
-            are the same.
-        problem: Why it was rejected, empty if it was not.
-        may_come: Whether a transform that is not known yet may still come.
-
-    """
-
-    request: PathRequest
-    frame: str
-    route: Route | None = None
+    request: PathRequest  # the request
+    frame: str  # frame of the message
+    route: Route | None = None  # the route in the odometry's frame; None if it was rejected
+    # x [m], y [m], turn [rad] of the message's frame in the odometry's, empty if they are the same.
     transform: tuple[float, ...] = ()
-    problem: str = ""
-    may_come: bool = False
+    problem: str = ""  # why it was rejected, empty if it was not
+    may_come: bool = False  # whether a transform that is not known yet may still come
 
     @property
     def followed_frame(self) -> str:

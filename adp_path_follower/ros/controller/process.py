@@ -1,7 +1,5 @@
 """The controller as a process: first the one that prepares paths beside it, then the node."""
 
-from __future__ import annotations
-
 from adp_path_follower.ros.controller.path_process import FittingProcess
 
 

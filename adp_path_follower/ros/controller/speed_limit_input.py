@@ -1,7 +1,5 @@
 """The topic `speed_limit`: it sets the parameter of that name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rclpy.node import Node

@@ -1,7 +1,5 @@
 """The controller's debug topics and diagnostics: published only while somebody listens."""
 
-from __future__ import annotations
-
 import math
 import time as steady
 from collections.abc import Callable

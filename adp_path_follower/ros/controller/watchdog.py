@@ -1,7 +1,5 @@
 """Look after the robot in steady time, as seldom as is safe."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType, JumpThreshold

@@ -1,7 +1,5 @@
 """Learned weights from the run before, and for the next one."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from pathlib import Path as FilePath
