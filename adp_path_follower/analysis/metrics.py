@@ -21,7 +21,8 @@ from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.nearest import best_place
+from adp_path_follower.core.path.progress import new_start
+from adp_path_follower.core.path.route import route_of
 from adp_path_follower.core.safety.supervisor import State
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.criteria import (
@@ -285,9 +286,8 @@ def _virtual_target(
     settings: Settings, path: Path, time: FloatArray, poses: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the virtual target's arc length at each step, shape (N,), and the first error (3,)."""
-    at_beginning = settings.controller.path_start == "beginning"
-    start = 0.0 if at_beginning else best_place(path, poses[0])[0]
-    target = VirtualTarget(path, settings.target, start)
+    start = new_start(route_of(path), poses[0], settings.controller)
+    target = VirtualTarget(path, settings.target, start.arc_length)
     arc_lengths, first = np.zeros(len(time)), np.zeros(3)
     for step, period in enumerate(np.diff(time, prepend=0.0).tolist()):
         _, error = target.move(poses[step], period)

@@ -5,3 +5,4 @@ from pathlib import Path as FilePath
 ROOT = FilePath(__file__).parents[2]
 CONFIG = ROOT / "config"
 DATA = ROOT / "test" / "data"
+CASES = DATA / "cases"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.learning.weights_file import SavedWeights
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.progress import CARRIED, NOISE, Left, Place, new_start, next_place
 from adp_path_follower.core.path.reversing import (
     turned_command,
     turned_error,
@@ -58,6 +60,7 @@ class Driver:
         saved_weights: SavedWeights | None = None,
         tell: Callable[[str], object] = bool,
         counts: Counts = _NOTHING,
+        tell_start: Callable[[str, bool], object] = lambda text, left_out: None,
     ) -> None:
         """Begin without a path.
 
@@ -66,16 +69,20 @@ class Driver:
             saved_weights: Weights of another run to start from, on paths for which they hold.
             tell: Called with a sentence where they do not.
             counts: What happened to the robot before.
+            tell_start: Called with where following begins, and whether a part of the path is left
+                out.
 
         """
         self.settings = settings
-        self.saved_weights, self._tell = saved_weights, tell
+        self.saved_weights, self._tell, self._tell_start = saved_weights, tell, tell_start
         self.route: Route | None = None
         self.counts = counts
         self._actuation = Actuation()  # as the robot of the present segment is told
         self._faces_back = False  # that robot, other than the real one
         self._segment = 0
         self._follower: PathFollower | None = None
+        self._pose: FloatArray = np.zeros(3)  # of the robot at the last step
+        self._left: Left | None = None  # where following ended, until it goes on
         self._learned: PathFollower | None = None  # the follower of the path before
         self._output: FollowerOutput | None = None  # of the last step on the segment
         self._standstill: Standstill | None = None  # between segments
@@ -113,10 +120,22 @@ class Driver:
         return self.route.segments[self._segment]
 
     def follow(self, path: Route | Path | None) -> None:
-        """Follow another route, or a path, from the next step on, or none."""
-        if path is not None and self._follower is not None:
-            self._learned = self._follower
+        """Follow another route, or a path, from the next step on, or none.
+
+        One that is the present one but for its ends is gone on with.
+        """
+        learned = self._learned
+        self._leave()
         self.route = None if path is None else route_of(path)
+        if path is None:
+            self._left, self._learned = None, learned
+
+    def _leave(self) -> None:
+        """Note where following ends."""
+        if self._follower is not None and self.route is not None:
+            place = Place(self._segment, float(self._follower.arc_length))
+            self._left = Left(self.route, place, self._pose, self.at_goal)
+            self._learned = self._follower
         self._follower, self._segment, self._standstill = None, 0, None
 
     def change_settings(self, settings: Settings) -> None:
@@ -167,14 +186,13 @@ class Driver:
         self._count(learning_resets=self.counts.learning_resets + 1)
 
     def restart(self) -> bool:
-        """Begin anew where the robot will be, which may have been carried; return if it had begun.
+        """Look for the robot before it goes on: it was carried, perhaps; return if it had begun.
 
         Learned weights stay.
         """
         if self._follower is None:
             return False
-        self._learned, self._follower = self._follower, None
-        self._segment, self._standstill = 0, None
+        self._leave()
         self._count(restarts=self.counts.restarts + 1)
         return True
 
@@ -221,6 +239,10 @@ class Driver:
             SettingsError: No policy can be found for these settings on this path.
 
         """
+        moved = math.dist(pose[:2], self._pose[:2])
+        if self._actuation.stopped and moved > CARRIED:
+            self._leave()
+        self._pose = pose
         if self._follower is None:
             self._begin(pose)
         elif self._at_segment_end and not self._on_last_segment:
@@ -272,9 +294,20 @@ class Driver:
         return turned_settings(settings) if self._present.reverse else settings
 
     def _begin(self, pose: FloatArray) -> None:
-        assert self.route is not None  # the caller waits for one
-        beginning = self.settings.controller.path_start == "beginning"
-        self._begin_segment(*((0, 0.0) if beginning else self.route.nearest(pose)))
+        route, left, controller = self.route, self._left, self.settings.controller
+        assert route is not None  # the caller waits for one
+        place = None if left is None else next_place(route, pose, left)
+        goes_on = place is not None
+        place = place or new_start(route, pose, controller)
+        along = place.along(route)
+        text = f"{'goes on' if goes_on else 'begins'} at {along:.1f} of {route.length:.1f} m"
+        chosen = goes_on or route.closed or controller.path_start == "arc_length"
+        left_out = along > NOISE and not chosen
+        if left_out:
+            text += ": the path before is left out, unless path_start is 'beginning'"
+        self._tell_start(text, left_out)
+        self._begin_segment(place.segment, place.arc_length)
+        self._left = None
 
     def _begin_segment(self, number: int, arc_length: float) -> None:
         self._segment = number

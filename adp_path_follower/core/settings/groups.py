@@ -262,10 +262,15 @@ class ControllerSettings:
         low=POSITIVE,
     )
     path_start: str = setting(
-        "nearest",
-        "Where on a new path the virtual target starts: at the place nearest to the robot, or at "
-        "the beginning.",
-        choices=("nearest", "beginning"),
+        "earliest",
+        "Where on a new path the virtual target starts: at the earliest place among those that the "
+        "robot's pose cannot tell apart (laps, lanes, the ends of a loop), at the beginning, at "
+        "the place that fits the pose best, or at start_arc_length. After a stop, and on a path "
+        "that only got other ends, it goes on where it was.",
+        choices=("earliest", "beginning", "nearest", "arc_length"),
+    )
+    start_arc_length: float = setting(
+        0.0, "Where new paths begin with path_start: arc_length.", unit="m", low=0.0
     )
     odom_timeout: float = setting(
         0.5,

@@ -21,7 +21,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import Commands
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
-from adp_path_follower.ros.controller.parts import ControllerParts
+from adp_path_follower.ros.controller.parts import ControllerParts, start_teller
 from adp_path_follower.ros.controller.path_input import PathInput
 from adp_path_follower.ros.controller.path_process import Fit, route_of_message
 from adp_path_follower.ros.controller.path_worker import PathAnswer
@@ -60,7 +60,8 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _forget_run(self) -> None:
         """Return to the state before any message."""
-        self._driver = Driver(self._settings, self._weights.saved, self.get_logger().warning)
+        told, log = start_teller(self.get_logger()), self.get_logger()
+        self._driver = Driver(self._settings, self._weights.saved, log.warning, tell_start=told)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
         self._clock_time = 0

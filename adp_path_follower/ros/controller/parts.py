@@ -1,7 +1,10 @@
 """The parts of the controller node between configuration and cleanup."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from adp_path_follower.ros.controller.commands import Commands
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
@@ -30,3 +33,15 @@ class ControllerParts:
         for part in (self.watchdog, self.speed_limit, self.odometry, self.path, self.telemetry):
             part.destroy()
         self.commands.destroy()
+
+
+def start_teller(log: RcutilsLogger) -> Callable[[str, bool], None]:
+    """Return what logs where following begins, and warns where a part of the path is left out."""
+
+    def tell(text: str, left_out: bool) -> None:
+        if left_out:
+            log.warning(text)
+        else:
+            log.info(text)
+
+    return tell

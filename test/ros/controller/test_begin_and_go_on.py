@@ -1,0 +1,86 @@
+"""Real nodes begin where the job begins, and go on where it stopped."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from field_routes import case
+from nav_msgs.msg import Odometry
+from std_srvs.srv import Trigger
+
+from adp_path_follower.bags.reader import read_run
+from adp_path_follower.study.replay.replay import replay
+from folders import CASES
+
+pytestmark = pytest.mark.nodes
+
+LOCKSTEP = {"control_trigger": "odometry", "odom_timeout": 30.0, "use_sim_time": True}
+
+
+def simulated(start, route, behind=0.0, turn=0.0, **parameters):
+    """Start a simulator with its robot at the first pose of a route, or behind it [m], turned."""
+    x, y, heading = route.segments[0].path.frame(0.0).pose.tolist()
+    x, y = x - behind * math.cos(heading), y - behind * math.sin(heading)
+    start("sim_unicycle", x=x, y=y, theta=heading + turn, **parameters)
+
+
+def way_of(odometry):
+    """Return the positions in odometry messages, shape (N, 2)."""
+    return np.array([(item.pose.pose.position.x, item.pose.pose.position.y) for item in odometry])
+
+
+def farthest_from(route, way):
+    samples = route.segments[0].path.samples
+    return max(np.hypot(samples.x - x, samples.y - y).min() for x, y in way)
+
+
+@pytest.mark.parametrize(
+    ("name", "paths", "behind", "turn"),
+    [
+        ("loop_gap_3cm.csv", {}, 0.02, 0.0),
+        ("three_laps_noisy.csv", {}, 0.01, 0.0),
+        ("lawnmower_lanes_0.5m.csv", {}, 0.0, math.radians(149.0)),
+    ],
+)
+def test_all_of_a_path_is_driven(peer, start, name, paths, behind, turn):
+    odometry = peer.listen(Odometry, "odom", 10_000)
+    controller = start("controller", desired_speed=0.9, learning=False, **paths, **LOCKSTEP)
+    route = case(name)
+    simulated(start, route, behind, turn, lockstep=True, rate=25.0)
+    peer.until_matched(peer.path)
+    start("path_publisher", path=str(CASES / name))
+    peer.until(lambda: "goal reached" in controller.output(), "the goal")
+    assert f"begins at 0.0 of {route.length:.1f} m" in controller.output()
+    end = route.segments[0].path.frame(route.length).pose[:2]
+    peer.until(lambda: math.dist(way_of(odometry[-1:])[0], end) < 0.2, "odometry of the end")
+    assert np.hypot(*np.diff(way_of(odometry), axis=0).T).sum() > route.length - 0.3
+
+
+def test_a_stopped_robot_goes_on_where_it_stopped_and_replays(peer, start, tmp_path):
+    odometry = peer.listen(Odometry, "odom", 10_000)
+    controller = start(
+        "controller", desired_speed=0.8, path_closed="open", path_start="beginning", learning=False
+    )
+    recorder = start("recorder", output=str(tmp_path / "bag"))
+    route = case("loop_2m.csv")
+    simulated(start, route)
+    peer.until_matched(peer.path)
+    heard = ("odom", "cmd_vel")
+    peer.until(
+        lambda: all(f"recording /{topic}\n" in recorder.output() for topic in heard), "a recorder"
+    )
+    start("path_publisher", path=str(CASES / "loop_2m.csv"))
+    peer.until(lambda: odometry[-1].pose.pose.position.y > 2.0, "a quarter of the loop")
+    assert peer.call(Trigger, "path_follower/stop").success
+    peer.until(lambda: odometry[-1].twist.twist.linear.x == 0.0, "the stop")
+    assert peer.call(Trigger, "path_follower/resume").success
+    peer.until(lambda: odometry[-1].pose.pose.position.x < -0.2, "more than half of the loop")
+    assert "goes on at 3." in controller.output() or "goes on at 4." in controller.output()
+    for node in (controller, recorder):
+        node.stop()
+    assert farthest_from(route, way_of(odometry)[::10]) < 0.05
+    again = replay(read_run(tmp_path / "bag"))
+    assert again.answered.sum() > 200
+    assert again.identical[again.answered].all()
