@@ -71,7 +71,7 @@ def test_a_run_with_limits_stops_and_other_paths_keeps_them_and_replays(peer, st
     changes = [parse_configuration(text) for _, text in run.configurations]
     limits = [change.values["speed_limit"] for change in changes]
     assert [value for value, _ in itertools.groupby(limits)] == [math.inf, 0.2, math.inf]
-    assert changes[-1].stops >= 1  # a busy machine may add some
+    assert changes[-1].counts.stops >= 1  # a busy machine may add some
     again = replay(run)
     assert again.answered.sum() > 300
     assert again.identical[again.answered].all()
