@@ -108,19 +108,12 @@ def analyse_bag(
     progress: Callable[[float], None] | None = None,
     title: str | None = None,
 ) -> BagAnalysis:
-    """Return the analysis of a bag, and write its trajectory.
+    """Return the analysis of a bag, a rosbag2 directory or one of its files.
 
-    Args:
-        bag: A rosbag2 directory, or one of its files.
-        names: "odom", "cmd_vel" or "path" -> the topic to take for it.
-        bags: How many bags share the figures.
-        trajectory: File for the trajectory, as the tool evo reads it; None writes none.
-        progress: Called with the fraction done.
-        title: Name of the bag; by default, that of its directory or file.
-
-    Raises:
-        FileError: The bag cannot be read, or holds no odometry or path.
-
+    `names` maps "odom", "cmd_vel" or "path" to the topic to take for it; `bags` share the figures.
+    The trajectory is written for the tool evo, unless its file is None. `progress` takes the
+    fraction done; the title is by default the name of directory or file. Raises FileError if the
+    bag cannot be read, or holds no odometry or path.
     """
     drive = drive_of(bag, read_run(bag, names, progress))
     metrics, notes = measure_drive(drive)

@@ -13,17 +13,12 @@ _SPACING = 0.02  # [m] of the places that poses are compared with
 
 
 def segments_driven(route: Route, poses: FloatArray, speed: FloatArray) -> np.ndarray:
-    """Return the number of the segment that each pose belongs to, shape (N,).
+    """Return the number of the segment that each pose [x, y, theta] (N, 3) belongs to, shape (N,).
 
-    Segments are driven in their order, so the numbers never fall; of all such numbers these are
-    nearest to the poses, by squared distances summed up over the way that was driven. The direction
-    of motion counts as the heading does in `best_place`, for there and back may be the same way.
-
-    Args:
-        route: The route.
-        poses: x [m], y [m], theta [rad] in order of time, shape (N, 3).
-        speed: v [m/s], negative backwards, shape (N,).
-
+    Poses are in order of time, with a speed v [m/s] (N,), negative backwards. Segments are driven
+    in their order, so the numbers never fall; of all such numbers these are nearest to the poses,
+    by squared distances summed up over the way that was driven. The direction of motion counts as
+    the heading does in `best_place`, for there and back may be the same way.
     """
     if len(route.segments) == 1 or not len(poses):
         return np.zeros(len(poses), dtype=np.intp)

@@ -123,10 +123,7 @@ class QuadraticBasis:
     ) -> None:
         """Prepare the constant arrays: sigma' is an affine map of zeta.
 
-        Args:
-            products: Index pairs (i, j), one for each term zeta_i zeta_j.
-            singles: Indices i, one for each term zeta_i; they stand last.
-
+        `products` has a pair (i, j) for each term zeta_i zeta_j, `singles` an i for each zeta_i.
         """
         self._products, self._singles = products, singles
         size, count = len(products) + len(singles), len(STATE_LABELS)

@@ -42,12 +42,7 @@ _Yaml.add_implicit_resolver(
 
 
 def expanded(name: str) -> FilePath:
-    """Return the file of a name, in which ~ stands for the user's home and ~USER for another's.
-
-    Raises:
-        FileError: There is no such home.
-
-    """
+    """Return the file of a name with ~ for a home; raise FileError if there is no such home."""
     try:
         return FilePath(name).expanduser()
     except RuntimeError:
@@ -56,12 +51,7 @@ def expanded(name: str) -> FilePath:
 
 
 def read_text(file: FilePath) -> str:
-    """Return the content of a text file.
-
-    Raises:
-        FileError: The file is missing, empty, or binary.
-
-    """
+    """Return the content of a text file; raise FileError if it is missing, empty, or binary."""
     try:
         text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
@@ -78,17 +68,9 @@ def read_text(file: FilePath) -> str:
 
 
 def write_whole(file: FilePath, content: bytes, unfinished: FilePath) -> None:
-    """Write a file as a whole or not at all, whatever happens meanwhile.
+    """Write a whole file, or none, whatever happens; OSError, or ValueError for a wrong name.
 
-    Args:
-        file: The file.
-        content: The expected content.
-        unfinished: Where it is written first: beside the file, so that it can be renamed.
-
-    Raises:
-        OSError: It cannot be written.
-        ValueError: No file can have its name.
-
+    It is written first as `unfinished`, which is in the same folder, and then renamed.
     """
     try:
         with unfinished.open("wb") as output:
@@ -102,12 +84,7 @@ def write_whole(file: FilePath, content: bytes, unfinished: FilePath) -> None:
 
 @contextlib.contextmanager
 def output_to(output: FilePath) -> Iterator[None]:
-    """Say in one sentence why a file, or what a folder is to hold, cannot be written.
-
-    Raises:
-        FileError: The block raised an OSError.
-
-    """
+    """Turn an OSError of the block into a FileError: a sentence why an output cannot be written."""
     try:
         yield
     except (AdpError, BrokenPipeError):
@@ -118,23 +95,13 @@ def output_to(output: FilePath) -> Iterator[None]:
 
 
 def write_output(file: FilePath, text: str) -> None:
-    """Write a text file as a whole or not at all.
-
-    Raises:
-        FileError: It cannot be written.
-
-    """
+    """Write a text file as a whole or not at all; raise FileError if it cannot be written."""
     with output_to(file):
         write_whole(file, text.encode(), file.with_name(f".{file.name}.unfinished"))
 
 
 def parse_yaml(text: str) -> object:
-    """Return the value of a YAML text.
-
-    Raises:
-        yaml.YAMLError: It is not YAML, or holds a value that cannot be made (a 13th month).
-
-    """
+    """Return the value of a YAML text; yaml.YAMLError also for impossible values (a 13th month)."""
     try:
         return yaml.load(text, Loader=_Yaml)  # noqa: S506  # _Yaml is a SafeLoader
     except yaml.YAMLError:
@@ -146,10 +113,8 @@ def parse_yaml(text: str) -> object:
 def read_csv_columns(file: FilePath, columns: tuple[str, ...]) -> FloatArray:
     """Return named columns of a CSV file, shape (rows, columns).
 
-    Raises:
-        FileError: The file is missing or empty, lacks a column, or holds something that is not a
-            number; the message names the line.
-
+    Raises FileError if the file is missing or empty, lacks a column, or holds something that is not
+    a number; the message names the line.
     """
     try:
         rows = list(csv.reader(read_text(file).splitlines()))
@@ -179,12 +144,7 @@ def read_csv_columns(file: FilePath, columns: tuple[str, ...]) -> FloatArray:
 
 
 def read_yaml(file: FilePath) -> object:
-    """Return the content of a YAML file.
-
-    Raises:
-        FileError: The file is missing, empty or not YAML, or has a name twice.
-
-    """
+    """Return the content of a YAML file; FileError if it is missing, empty or not sound YAML."""
     try:
         content = parse_yaml(read_text(file))
     except yaml.YAMLError as error:

@@ -111,17 +111,11 @@ def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:
 
 
 def advance_pose(pose: FloatArray, linear: ArrayLike, angular: ArrayLike, dt: float) -> FloatArray:
-    """Return the pose after a constant twist was held for a time, shape (..., 3).
+    """Return poses [x, y, theta] after a constant twist was held for a time, shape (..., 3).
 
     Exact for the unicycle x' = v cos(theta), y' = v sin(theta), theta' = w: the motion is an arc
-    whose chord has the heading theta + w dt / 2 and the length v dt sinc(w dt / 2).
-
-    Args:
-        pose: x [m], y [m], theta [rad], shape (..., 3).
-        linear: Linear velocity v [m/s], shape (...).
-        angular: Angular velocity w [rad/s], shape (...).
-        dt: Duration [s].
-
+    whose chord has the heading theta + w dt / 2 and the length v dt sinc(w dt / 2). The velocities
+    v [m/s] and w [rad/s] have shape (...), dt is in seconds.
     """
     v: Any = linear if isinstance(linear, float) else np.asarray(linear)[()]
     w: Any = angular if isinstance(angular, float) else np.asarray(angular)[()]

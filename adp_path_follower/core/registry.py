@@ -25,23 +25,12 @@ class Registry(Generic[Part]):
     """The parts of one kind, by name."""
 
     def __init__(self, kind: str, built_in: tuple[str, ...]) -> None:
-        """Begin empty.
-
-        Args:
-            kind: Such as "basis", for messages.
-            built_in: Names of the package's own parts, which cannot be registered.
-
-        """
+        """Begin empty, for a kind such as "basis" whose built-in names cannot be registered."""
         self._kind, self._built_in = kind, built_in
         self._parts: dict[str, Part] = {}
 
     def register(self, name: str, part: Part) -> None:
-        """Keep a part under a name, in place of one that was registered before.
-
-        Raises:
-            AdpError: The name is one of the package's own, or no name at all.
-
-        """
+        """Keep a part under a name, in place of an earlier one; AdpError for an invalid name."""
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name):
             raise AdpError(
                 f"{self._kind} has the name {name!r}, but must have letters, digits and _ only"
@@ -51,12 +40,7 @@ class Registry(Generic[Part]):
         self._parts[name] = part
 
     def find(self, name: str) -> Part | None:
-        """Return the part of a name, None if no plugin knows it either.
-
-        Raises:
-            AdpError: A plugin cannot be imported.
-
-        """
+        """Return the part of a name, None if no plugin knows it; AdpError if a plugin fails."""
         if name not in self._parts:
             load_plugins()
         return self._parts.get(name)
@@ -67,12 +51,7 @@ class Registry(Generic[Part]):
 
 
 def load_plugins() -> None:
-    """Import the modules of `ADP_PLUGINS`, each once.
-
-    Raises:
-        AdpError: One is missing, or something that it registers is wrong.
-
-    """
+    """Import the modules of `ADP_PLUGINS`, each once; AdpError if one is missing or wrong."""
     for plugin in map(str.strip, os.environ.get(PLUGINS, "").split(",")):
         if plugin and plugin not in _loaded:
             _loaded.add(plugin)

@@ -58,13 +58,7 @@ class Actuation:
             self._sent.popleft()
 
     def predicted(self, pose: FloatArray, delay: float) -> FloatArray:
-        """Return where the commands under way lead a robot, shape (..., 3).
-
-        Args:
-            pose: Where it is now, shape (..., 3).
-            delay: Time from a command to its effect [s].
-
-        """
+        """Return poses (..., 3) to which the commands under way lead within a delay [s]."""
         if delay <= 0.0 or not self._sent:
             return pose
         # A command sent at t moves the robot from t + delay on: what was in force over the last
@@ -79,13 +73,7 @@ class Actuation:
         return _driven(pose, np.array(commands), durations[due])
 
     def limited(self, wanted: FloatArray, settings: Settings) -> FloatArray:
-        """Return the command that may follow the last one, shape (..., 2).
-
-        Args:
-            wanted: [v, w] within the limits of velocity, shape (..., 2).
-            settings: Give the limits, and the period at a start.
-
-        """
+        """Return the command nearest to a wanted one that may follow the last one, (..., 2)."""
         if not settings.motion.limited:
             return wanted
         limits, motion, period = settings.limits, settings.motion, self._period(settings)

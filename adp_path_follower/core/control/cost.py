@@ -31,14 +31,7 @@ class MotionCost:
     """The cost of moving at constant twist, with the virtual target moving on beside the robot."""
 
     def __init__(self, settings: Settings, path: Path, profile: SpeedProfile | None = None) -> None:
-        """Take cost, target and path.
-
-        Args:
-            settings: Give cost and target.
-            path: The path that is followed.
-            profile: The speed along the path, by default `desired_speed` everywhere.
-
-        """
+        """Take cost, target and path; the speed along it is by default `desired_speed`."""
         self._target, self._path = settings.target, path
         self._running_cost = RunningCost(settings.cost)
         self._profile = profile or ConstantSpeed(settings.target)
@@ -51,18 +44,11 @@ class MotionCost:
         duration: float,
         frame: PathFrame | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the cost, and where the virtual target is afterwards, shape (...) each.
+        """Return the cost, and the virtual target's arc length [m] afterwards, shape (...) each.
 
-        Simpson's rule along the robot's arc, with the virtual target from where the controller
-        has it at the start.
-
-        Args:
-            pose: Pose at the start, shape (..., 3).
-            twist: [v, w] that is held, shape (..., 2).
-            arc_length: s_p at the start [m], shape (...).
-            duration: Time [s]; at most 10 ms for an error below 1e-6 of the cost.
-            frame: That of the path at the start, if it is known.
-
+        Simpson's rule along the arc of a robot that starts at a pose (..., 3) and holds a twist [v,
+        w] (..., 2), with the virtual target from `arc_length` [m] (...) on, where the path has
+        `frame`, if it is known. A duration of at most 10 ms gives an error below 1e-6 of the cost.
         """
         v, w = twist[..., 0], twist[..., 1]
         frame = frame if frame is not None else self._path.frame(arc_length)

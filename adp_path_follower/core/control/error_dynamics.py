@@ -47,14 +47,10 @@ def feedforward(curvature: FloatArray, v_des: Number) -> FloatArray:
 def drift(
     zeta: FloatArray, curvature: FloatArray, target: TargetSettings, v_des: Number
 ) -> FloatArray:
-    """Return f of zeta' = f(zeta) + g(zeta) u, shape (..., 4).
+    """Return f of zeta' = f(zeta) + g(zeta) u at states zeta, shape (..., 4).
 
-    Args:
-        zeta: States, shape (..., 4).
-        curvature: kappa [1/m] at each state's place on the path, shape (...).
-        target: k1 and k2.
-        v_des: Speed along the path [m/s] at each state's place, shape (...).
-
+    Curvature kappa [1/m] and v_des [m/s], shape (...), are those at each state's place on the path;
+    `target` has k1 and k2.
     """
     s, y, theta, phi = numbers(zeta)
     speed = target_speed(zeta, target, v_des)

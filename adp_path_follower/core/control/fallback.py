@@ -93,12 +93,8 @@ def is_doubtful(
 ) -> np.ndarray:
     """Return where the learned value function does not decrease as it must, shape (...).
 
-    Args:
-        bellman_error: delta of the learned policy, shape (...).
-        running_cost: r of the learned policy, shape (...).
-        value: The learned value, shape (...).
-        riccati_value: The Riccati solution's, shape (...).
-
+    Bellman error delta, running cost r and value are those of the learned policy, `riccati_value`
+    is that of the Riccati solution, shape (...) each.
     """
     rises = bellman_error > _MOST_ERROR * running_cost + _NOTHING
     small: np.ndarray = value < _LEAST_VALUE * riccati_value - _NOTHING

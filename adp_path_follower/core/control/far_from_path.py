@@ -23,11 +23,8 @@ class FarPolicy(Protocol):
     ) -> FloatArray:
         """Return u = [v_e, w_e], shape (..., 2); the limits are applied to it afterwards.
 
-        Args:
-            zeta: States [s, y, theta, phi], shape (..., 4).
-            curvature: kappa at the target [1/m], shape (...).
-            feedforward: [v_ss, w_ss], to which u is added, shape (..., 2).
-
+        States zeta = [s, y, theta, phi] have shape (..., 4), the curvature kappa at the target
+        [1/m] (...), the feedforward [v_ss, w_ss], to which u is added, (..., 2).
         """
 
 
@@ -86,12 +83,7 @@ class WideRegion:
     ) -> FloatArray:
         """Return the modified input, shape (..., 2), learned near the path and this far from it.
 
-        Args:
-            learned: The learned policy's input, within the limits, shape (..., 2).
-            zeta: States, shape (..., 4).
-            curvature: kappa at the target [1/m], shape (...).
-            feedforward: [v_ss, w_ss], shape (..., 2).
-
+        The learned input is within the limits, (..., 2); the rest is as in `modified_input`.
         """
         start, end = self._policy.wide_region_levels
         if zeta.ndim == 1 and self._inside(zeta, start):

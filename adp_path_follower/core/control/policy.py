@@ -13,11 +13,7 @@ def actor_input(
 ) -> FloatArray:
     """Return the modified input u = [v_e, w_e] of the actor, shape (..., 2).
 
-    Args:
-        actor_weights: Wa, shape (..., L).
-        input_gradient: sigma'(zeta) g(zeta), shape (..., L, 2).
-        input_cost_inverse: R^-1, shape (2, 2).
-
+    Takes Wa (..., L), sigma'(zeta) g(zeta) (..., L, 2) and R^-1 (2, 2).
     """
     descent = np.matmul(actor_weights[..., None, :], input_gradient)[..., 0, :]
     return descending_input(descent, input_cost_inverse)

@@ -45,9 +45,7 @@ def riccati_solution(
 ) -> FloatArray:
     """Return P, shape (3, 3), at a curvature [1/m] and a speed [m/s].
 
-    Raises:
-        SettingsError: The numbers are too extreme for a solution.
-
+    Raises SettingsError if the numbers are too extreme for a solution.
     """
     found = riccati_solutions(np.full(1, curvature), np.full(1, speed), target, cost)
     return np.asarray(found[0])
@@ -59,12 +57,8 @@ def riccati_solutions(
     """Return P at curvatures [1/m] and speeds [m/s], each of shape (N,), shape (N, 3, 3).
 
     All at once, as a control step waits for the table of a new path: by eigenvectors of the
-    Hamiltonian matrices and a step of Newton's method (Kleinman). Where that is not exact, which
-    is rare, scipy solves one by one.
-
-    Raises:
-        SettingsError: The numbers are too extreme for a solution.
-
+    Hamiltonian matrices and a step of Newton's method (Kleinman). Where that is not exact, which is
+    rare, scipy solves one by one. Raises SettingsError as `riccati_solution`.
     """
     state_cost, input_cost = cost.state_cost_matrix(), cost.input_cost_matrix()
     state_cost = state_cost + _LEAST_COST * max(1.0, float(np.trace(state_cost))) * np.eye(3)
@@ -140,12 +134,7 @@ class RiccatiSchedule:
         cost: CostSettings,
         profile: SpeedProfile | ConstantSpeed | None = None,
     ) -> None:
-        """Solve the Riccati equation over the curvatures of the path, and the speeds of a profile.
-
-        Raises:
-            SettingsError: As `riccati_solution`.
-
-        """
+        """Solve the Riccati equation over the path's curvatures, and the speeds of a profile."""
         low, high = path.curvature_range
         low = max(min(low, 0.0), -_MOST_CURVATURE)  # the tangents beyond the ends are straight
         high = min(max(high, 0.0), _MOST_CURVATURE)
@@ -169,10 +158,8 @@ class RiccatiSchedule:
     def matrix(self, curvature: FloatArray, speed: Number) -> FloatArray:
         """Return P at curvatures [1/m] and speeds [m/s] of shape (...), shape (..., 3, 3).
 
-        Args:
-            curvature: kappa; beyond the range of the table, what is at its end.
-            speed: v_des, which a table of one speed does not ask for.
-
+        Beyond the range of curvatures P is that at its end; a table of one speed ignores the
+        speeds.
         """
         count = self.table.shape[-3]
         position = (curvature - self._start) / self._step

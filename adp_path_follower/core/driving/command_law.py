@@ -125,13 +125,8 @@ class CommandLaw:
     ) -> FollowerOutput:
         """Return command, cost and Bellman error of the present weights, equations (1) to (7).
 
-        Args:
-            frame: Frame of the path at the target.
-            error: e = [s, y, theta] in this frame, shape (..., 3).
-            arc_length: s_p of the target [m], shape (...).
-            v_des: Speed along the path there [m/s], shape (...).
-            dt: Time since the last step [s].
-
+        Takes the path's frame at the target, e = [s, y, theta] in it (..., 3), s_p of the target
+        [m] (...), the speed along the path there [m/s] (...), and the time since the last step [s].
         """
         limits = self.settings.limits
         here = self.situation(frame, error, arc_length, v_des)

@@ -46,15 +46,10 @@ class KnotCritic:
         curvature: float,
         speed: float,
     ) -> CriticUpdate:
-        """Return the critic of a knot after its update.
+        """Return the critic of a knot after its update with the equations of its samples.
 
-        Args:
-            equations: Of the samples that were worked off.
-            weights: Wc of the knot so far, shape (L,).
-            elapsed: Time since the knot's last update [s].
-            curvature: kappa [1/m] at the knot.
-            speed: v_des [m/s] there.
-
+        Takes Wc of the knot so far (L,), the time since its last update [s], and kappa [1/m] and
+        v_des [m/s] there.
         """
         found = fit(equations)
         refusal = self._refusal(found)

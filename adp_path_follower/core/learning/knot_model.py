@@ -82,13 +82,9 @@ class KnotModel:
     """The model of the error dynamics at scattered sampled states."""
 
     def __init__(self, settings: Settings, spacing: float, varies: bool = False) -> None:
-        """Prepare what depends neither on weights nor on curvature, at N samples.
+        """Prepare everything that depends neither on weights nor on curvature, at N samples.
 
-        Args:
-            settings: All settings.
-            spacing: Distance h between knots [m].
-            varies: Whether knots have speeds of their own.
-
+        Knots are a distance h [m] apart; `varies` says that they have speeds of their own.
         """
         learning = settings.learning
         self.states = scattered_samples(
@@ -128,12 +124,8 @@ class KnotModel:
     ) -> NormalEquations:
         """Return the normal equations of a knot's critic weights over some of the samples.
 
-        Args:
-            samples: Which samples.
-            ahead: Wc of the knot ahead, whose policy is evaluated, shape (L,).
-            curvature: kappa [1/m] of the path at the knot.
-            v_des: Speed [m/s] there; a model whose knots share one speed has that.
-
+        `ahead` is Wc of the knot ahead, whose policy is evaluated, shape (L,). kappa [1/m] and
+        v_des [m/s] are those at the knot; a model whose knots share one speed has that.
         """
         terms = self._terms[samples]
         count, kinds, size = terms.shape

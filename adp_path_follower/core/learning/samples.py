@@ -40,15 +40,10 @@ def scattered_samples(count: int, half_widths: tuple[float, ...], seed: int) -> 
 
 
 def scrambled_sobol_points(count: int, seed: int) -> FloatArray:
-    """Return the first points of a Sobol sequence in the unit cube, shape (count, 4).
+    """Return the first points, at most 2**30, of a Sobol sequence in the unit cube, (count, 4).
 
     Scrambled by a random linear matrix and a digital shift (Matousek 1998), the same for the same
     seed: the numbers that ``scipy.stats.qmc.Sobol(4, seed=seed)`` gives, to the last bit.
-
-    Args:
-        count: At most 2**30.
-        seed: Not negative.
-
     """
     rng = np.random.default_rng(seed)
     dimensions = len(_DIMENSIONS)

@@ -31,15 +31,10 @@ def update_weights(
     learning: LearningSettings,
     dt: float,
 ) -> Weights:
-    """Return the weights after one period.
+    """Return the weights after one period [s].
 
-    Args:
-        weights: Weights at the start of the period.
-        measured: Bellman error of these weights at the measured state.
-        sampled: Bellman errors of these weights at the sampled states.
-        learning: Gains and bounds.
-        dt: Period [s].
-
+    The Bellman errors at the measured state and at the sampled states are those of the weights at
+    the start of the period; `learning` has gains and bounds.
     """
     gain_measured = learning.critic_gain_measured
     gain_sampled = learning.critic_gain_sampled / sampled.error.shape[-1]
@@ -68,15 +63,9 @@ def least_squares(weights: Weights, sampled: BellmanErrors) -> FloatArray:
 def follow(
     actor_weights: FloatArray, critic_weights: FloatArray, gain: float, bound: float, dt: float
 ) -> FloatArray:
-    """Return the actor weights after following the critic, shape (..., L).
+    """Return Wa after following Wc with a gain eta_a [1/s] for a time [s], shape (..., L) each.
 
-    Args:
-        actor_weights: Wa, shape (..., L).
-        critic_weights: Wc, shape (..., L).
-        gain: eta_a [1/s].
-        bound: Norm that the projection keeps Wa below.
-        dt: Time [s].
-
+    The projection keeps the norm of Wa below the bound.
     """
     step = critic_weights - actor_weights
     step *= -math.expm1(-gain * dt)
@@ -95,13 +84,10 @@ def surely_finite(actor_weights: FloatArray, critic_weights: FloatArray) -> bool
 
 
 def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:
-    """Return how far W' = -(A W + b) moves W down in one step, shape (..., L).
+    """Return how far W' = -(A W + b) moves W down in one step [s], shape (..., L).
 
-    Args:
-        rate: A [1/s], symmetric positive semidefinite, shape (..., L, L).
-        descent: A W + b at the start of the step, shape (..., L).
-        dt: Step [s].
-
+    `rate` is A [1/s], symmetric positive semidefinite, (..., L, L); `descent` is A W + b at the
+    start of the step, (..., L).
     """
     # The step is dt N(z) descent with N(z) = (1 - 1 / (1 + z + z^2/2)) / z = Re + Im of
     # 1 / (z + 1 - i): one complex solve, without squaring the matrix and its condition.

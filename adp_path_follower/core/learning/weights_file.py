@@ -63,12 +63,7 @@ def difference(saved: SavedWeights, settings: Settings) -> str:
 
 
 def encode(saved: SavedWeights) -> bytes:
-    """Return the content of a weights file.
-
-    Raises:
-        FileError: The weights are not finite.
-
-    """
+    """Return the content of a weights file; raise FileError if weights are not finite."""
     learned = saved.learned
     if not (np.isfinite(learned.critic).all() and np.isfinite(learned.actor).all()):
         raise FileError("the weights are not finite: call ~/reset_learning and learn again")
@@ -84,16 +79,10 @@ def encode(saved: SavedWeights) -> bytes:
 
 
 def decode(content: bytes, name: str) -> SavedWeights:
-    """Return what the content of a weights file says.
+    """Return the weights in the content of a weights file.
 
-    Args:
-        content: The bytes.
-        name: What to call them in refusals.
-
-    Raises:
-        FileError: It is no weights file, of another version, damaged, or holds values that are
-            not finite.
-
+    Raises FileError if it is none, of another version, damaged or not finite; `name` stands for it
+    in the message.
     """
     try:
         parts = _unpacked(content)
@@ -119,9 +108,7 @@ def decode(content: bytes, name: str) -> SavedWeights:
 def read_weights(file: FilePath, settings: Settings) -> tuple[SavedWeights, bytes]:
     """Return the weights in a file that were learned for these settings, and its content.
 
-    Raises:
-        FileError: The file cannot be read, is no sound weights file, or belongs to other settings.
-
+    Raises FileError if it cannot be read, is not sound, or belongs to other settings.
     """
     try:
         if file.stat().st_size > _MOST_BYTES:
@@ -147,12 +134,7 @@ def read_weights(file: FilePath, settings: Settings) -> tuple[SavedWeights, byte
 
 
 def write_weights(file: FilePath, content: bytes) -> None:
-    """Write a weights file as a whole or not at all, whatever happens meanwhile.
-
-    Raises:
-        FileError: It cannot be written.
-
-    """
+    """Write a weights file as a whole or not at all; raise FileError if it cannot be written."""
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
         write_whole(file, content, temporary)

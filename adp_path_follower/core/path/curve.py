@@ -77,12 +77,8 @@ class Path:
     def __init__(self, coefficients: FloatArray, length: float, closed: bool) -> None:
         """Take the pieces of a twice differentiable curve, each of the same arc length.
 
-        Args:
-            coefficients: Coefficients of x and y by ascending powers of the arc length from the
-                start of each piece, shape (pieces, 2, degree + 1).
-            length: Length of the whole path [m].
-            closed: Whether the path ends where it starts.
-
+        The coefficients are those of x and y by ascending powers of the arc length from the start
+        of each piece, shape (pieces, 2, degree + 1); the length of the whole path is in metres.
         """
         pieces, _, terms = coefficients.shape
         self.length = length
@@ -124,17 +120,10 @@ class Path:
     def along(
         cls, spline: CubicSpline, parameter: FloatArray, closed: bool, piece: float = _PIECE
     ) -> Path:
-        """Return the path along a C2 spline by its arc length.
+        """Return the path by arc length along a C2 spline, which maps parameters to points [m].
 
-        Args:
-            spline: Maps parameters to points [m].
-            parameter: Where its pieces meet, increasing.
-            closed: Whether the curve ends where it starts.
-            piece: Length of the path's pieces [m], if it is less than 5 cm.
-
-        Raises:
-            TurningBackError: The curve has a cusp.
-
+        Its pieces meet at increasing parameters. Those of the path have the length `piece` [m], if
+        it is less than 5 cm. Raises TurningBackError if the curve has a cusp.
         """
         return cls._by_arc_length(
             spline, spline.derivative(), parameter, closed, min(_PIECE, piece)

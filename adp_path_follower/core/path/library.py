@@ -89,10 +89,7 @@ def circle(curvature: float) -> Path:
 def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path:
     """Return the path along the points of a CSV or YAML file.
 
-    Raises:
-        FileError: The file is missing or of another format.
-        PathError: Its points make no path.
-
+    Raises FileError if it is missing or of another format, PathError if its points make no path.
     """
     points, closed = read_points(file)
     try:
@@ -104,12 +101,7 @@ def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path
 def path_through(
     points: FloatArray, closed: bool | None, settings: PathSettings | None = None
 ) -> Path:
-    """Return the path along the points of a file, as `read_points` gives them.
-
-    Raises:
-        PathError: The points make no path.
-
-    """
+    """Return the path along points as `read_points` gives them; PathError if they make none."""
     forwards = replace(settings or PathSettings(), allow_reversing=False)
     return prepare(points, forwards, closed=closed).segments[0].path
 
@@ -118,12 +110,8 @@ def named_points(name: str, spacing: float) -> FloatArray:
     """Return poses to publish for a name: x, y, heading, shape (N, 3).
 
     Those of a built-in path are at most `spacing` [m] apart. Those of a file are its points,
-    without headings (NaN): the follower rounds their corners.
-
-    Raises:
-        PathError: No such name, or points that make no path.
-        FileError: A file that is missing or of another format.
-
+    without headings (NaN): the follower rounds their corners. Raises PathError for an unknown name
+    or points that make no path, FileError for a file that is missing or of another format.
     """
     if not is_path_file(name):
         return named_path(name).points(spacing)
@@ -145,9 +133,7 @@ def is_path_file(name: str) -> bool:
 def read_points(file: FilePath) -> tuple[FloatArray, bool | None]:
     """Return the points of a path file, shape (N, 2), and whether it says that it is closed.
 
-    Raises:
-        FileError: The file is missing or of another format.
-
+    Raises FileError if it is missing or of another format.
     """
     if file.suffix.lower() == ".csv":
         return read_csv_columns(file, ("x", "y")), None

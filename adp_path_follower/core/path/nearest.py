@@ -51,13 +51,9 @@ def best_place(path: Path, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def place_near(path: Path, poses: FloatArray, last: FloatArray) -> FloatArray:
-    """Return the arc length [m] of the nearest place within 1 m of each robot's last one.
+    """Return the arc length [m] of the place nearest to poses (..., 3), within 1 m of the last.
 
-    Args:
-        path: The path.
-        poses: x [m], y [m], theta [rad], shape (..., 3).
-        last: Arc length of the last place [m], broadcasts to shape (...).
-
+    `last` has the arc lengths of the last places [m], which broadcast to shape (...).
     """
     count = round(_REACH / _SPACING)
     candidates = np.asarray(last)[..., None] + np.linspace(-_REACH, _REACH, 2 * count + 1)
@@ -67,14 +63,9 @@ def place_near(path: Path, poses: FloatArray, last: FloatArray) -> FloatArray:
 def beside(
     path: Path, poses: FloatArray, arc_length: FloatArray, longest_step: float
 ) -> Projection:
-    """Return the exact places abreast of poses near given ones, by Newton's method.
+    """Return the exact places beside poses (..., 3) near given ones, by Newton's method.
 
-    Args:
-        path: The path.
-        poses: x [m], y [m], theta [rad], shape (..., 3).
-        arc_length: Where the search starts [m], shape (...).
-        longest_step: Bound of the four steps [m].
-
+    The search starts at an arc length [m] (...); its four steps are bounded by `longest_step` [m].
     """
     for _ in range(_NEWTON_STEPS):  # until the tangential error is 0
         frame = path.frame(arc_length)

@@ -37,13 +37,8 @@ def chord_spline(points: FloatArray, closed: bool) -> tuple[CubicSpline, FloatAr
 def joined(points: FloatArray, closed: bool | None) -> tuple[FloatArray, bool]:
     """Return points (N, 2) that end with the first one if the path is closed, and whether it is.
 
-    Args:
-        points: Without coinciding neighbours.
-        closed: Whether the last joins the first; None tests whether they coincide (1 mm).
-
-    Raises:
-        PathError: A closed path of fewer than three points.
-
+    Neighbours do not coincide. If `closed` is None, coinciding ends (1 mm) decide. Raises PathError
+    for a closed path of fewer than three points.
     """
     meet = len(points) > 2 and math.dist(points[0], points[-1]) <= _CLOSING_GAP
     if closed is None:
@@ -57,11 +52,9 @@ def joined(points: FloatArray, closed: bool | None) -> tuple[FloatArray, bool]:
 
 
 def distinct_points(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
-    """Return the points without coinciding neighbours, shape (N, 2), and the index of each, (N,).
+    """Return points without coinciding neighbours (N, 2), and their indices (N,).
 
-    Raises:
-        PathError: See `Path.from_points`.
-
+    Raises PathError as `Path.from_points`.
     """
     try:
         array = np.asarray(points, dtype=float)

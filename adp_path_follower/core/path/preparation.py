@@ -131,15 +131,8 @@ def _cut_route(
 ) -> Route:
     """Return the route of poses that need smoothing, cuts or driving backwards.
 
-    Args:
-        poses: The poses.
-        said: Whether the path is closed, None if the source does not say.
-        settings: Settings of paths.
-        unfit: The spline through all of them, if it is known not to be the path.
-
-    Raises:
-        PathError: It needs `allow_reversing`, or cannot be smoothed.
-
+    `said` is what the source says about closing, `unfit` the spline through all of them, if it is
+    known not to be the path. Raises PathError if it needs `allow_reversing`, or cannot be smoothed.
     """
     tolerance = settings.path_tolerance
     _, closed = joined(poses.points, said)
@@ -282,11 +275,9 @@ def _refuse_reversing(
 def _fitted(
     poses: _Poses, closed: bool, tolerance: float, unfit: Interpolation | None = None
 ) -> Path:
-    """Return the path of one segment; `unfit` is a spline through it that is known not to be it.
+    """Return the path of one segment; PathError if it cannot be smoothed within the tolerance.
 
-    Raises:
-        PathError: It cannot be smoothed within the tolerance.
-
+    `unfit` is a spline through it that is known not to be it.
     """
     if unfit is not None and unfit.closed != closed:
         unfit = None

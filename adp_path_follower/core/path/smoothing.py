@@ -173,12 +173,8 @@ def _beside(
 ) -> FloatArray:
     """Return how far points are from the polyline of samples, at the samples beside them, (M,).
 
-    Args:
-        samples: Shape (M, 2) [m].
-        places: Where they are along the polyline of the points, increasing, (M,) [m].
-        points: Shape (N, 2) [m]; those of a closed path end with the first.
-        parameter: Where they are, (N,) [m].
-
+    Samples (M, 2) [m] are at increasing places (M,) [m] along the polyline of the points; points
+    (N, 2) [m], whose last is the first if the path is closed, are at a parameter (N,) [m].
     """
     count = len(samples)
     before = np.clip(np.searchsorted(places, parameter, side="right") - 1, 0, count - 1)
@@ -198,10 +194,8 @@ def _blends(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Choose the level of smoothing at each place, within a budget of distance (M,) [m].
 
-    Returns:
-        The change of each level to the one before (M, 2), with its weight (M,); none where the
-        curve is fair already.
-
+    Returns the change of each level to the one before (M, 2), with its weight (M,); none where the
+    curve is fair already.
     """
     curves, shares = zip(*_levels(grid, anchor, budget), strict=True)
     wanted = _wanted(grid, curves, shares)

@@ -177,13 +177,7 @@ class SpeedReference:
 
 
 def _at_most_rising_by(values: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the greatest values (N,), none above those given, that rise by at most `steps`.
-
-    Args:
-        values: Shape (N,).
-        steps: From one value to the next, shape (N - 1,).
-
-    """
+    """Return the greatest values (N,) below those given that rise by at most steps (N - 1,)."""
     if np.isinf(steps).all():
         return values
     # To rise by the highest of them is to rise to any of them; without it, sums may overflow.

@@ -48,12 +48,7 @@ def load_settings(
 
 
 def parse_assignment(text: str) -> tuple[str, object]:
-    """Return name and value of "NAME=VALUE".
-
-    Raises:
-        SettingsError: There is no "=", or the value is not YAML.
-
-    """
+    """Return name and value of "NAME=VALUE"; SettingsError without "=", or if it is not YAML."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise SettingsError(f"'{text}' is not NAME=VALUE, as in max_linear_vel=0.5")
@@ -68,11 +63,8 @@ def parse_assignment(text: str) -> tuple[str, object]:
 def read_parameters(file: FilePath, node: str) -> dict[str, object]:
     """Return the parameters that a ROS parameter file gives a node, without ROS's own.
 
-    The sections "/**", "/**/node", "node" and "/name/space/node" count, in their order.
-
-    Raises:
-        FileError: The file cannot be read, or has no section for the node.
-
+    The sections "/**", "/**/node", "node" and "/name/space/node" count, in their order. Raises
+    FileError if the file cannot be read, or has no section for the node.
     """
     content = read_yaml(file)
     if not isinstance(content, Mapping):

@@ -120,10 +120,8 @@ def setting_fields(tree: Any) -> tuple[SettingField, ...]:
 def build(tree: type[Tree], values: Mapping[str, object]) -> Tree:
     """Return the settings tree with these values, the rest at their defaults.
 
-    Raises:
-        SettingsError: An unknown name, a wrong type, a value out of range, or values that do not
-            fit each other; the message names setting, value and what is allowed.
-
+    Raises SettingsError for an unknown name, a wrong type, a value out of range, or values that do
+    not fit each other; the message names setting, value and what is allowed.
     """
     fields = {field.name: field for field in setting_fields(tree)}
     grouped: dict[str, dict[str, Value]] = {field.group: {} for field in fields.values()}
@@ -157,12 +155,7 @@ def unknown_name(name: str, known: Sequence[str] | Mapping[str, object]) -> str:
 
 
 def checked(field: SettingField, value: object) -> Value:
-    """Return the value in the setting's own type.
-
-    Raises:
-        SettingsError: The value has the wrong type, or is out of range.
-
-    """
+    """Return the value in the setting's own type; SettingsError for a wrong type or range."""
     try:
         if field.item_kind is None:
             item: Value = _checked_item(field.kind, field.spec, value)

@@ -30,14 +30,10 @@ class Commands:
     def __init__(
         self, node: Node, stamped: bool, lossless: bool, timeout: Callable[[], float]
     ) -> None:
-        """Create the publisher, and start the thread.
+        """Create the publisher, of TwistStamped or Twist, and start the thread.
 
-        Args:
-            node: The controller.
-            stamped: Whether to publish TwistStamped, else Twist.
-            lossless: Keep commands for those who join late.
-            timeout: Returns how long a robot may go on with one command [s].
-
+        `lossless` keeps commands for late subscribers; `timeout` returns how long [s] a robot may
+        go on with one command.
         """
         self.frame = "base_link"
         self._node, self._stamped, self._timeout = node, stamped, timeout

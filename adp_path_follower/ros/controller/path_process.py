@@ -154,9 +154,7 @@ class FittingProcess:
     def _replace(self) -> int | None:
         """End the process, start another one, and return the exit code of the first.
 
-        Raises:
-            SystemExit: No other is wanted.
-
+        Raises SystemExit if no other is wanted.
         """
         with self._starting:
             if self._over:
@@ -233,12 +231,7 @@ def _send(connection: socket.socket, content: object) -> None:
 
 
 def _receive(connection: socket.socket) -> Any:
-    """Return an object of the other process.
-
-    Raises:
-        EOFError: It has ended.
-
-    """
+    """Return an object of the other process; raise EOFError if it has ended."""
     (count,) = _read(connection, 8).view(int)
     sizes = _read(connection, 8 * count).view(int)
     rest, *arrays = (_read(connection, size) for size in sizes.tolist())

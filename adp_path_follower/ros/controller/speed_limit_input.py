@@ -17,13 +17,9 @@ class SpeedLimitInput:
     def __init__(
         self, node: Node, settings: Callable[[], Settings], answer: Callable[[str], None]
     ) -> None:
-        """Subscribe.
+        """Subscribe; `settings` returns the present settings.
 
-        Args:
-            node: The controller.
-            settings: Returns the present settings.
-            answer: Called for each message with why its limit cannot hold, empty if it does.
-
+        For each message `answer` gets the reason why its limit cannot hold, empty if it does.
         """
         self._node, self._settings, self._answer = node, settings, answer
         self._subscription = node.create_subscription(Float64, "speed_limit", self._receive, 1)

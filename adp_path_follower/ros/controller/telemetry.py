@@ -100,15 +100,10 @@ class Telemetry:
         lossless: bool,
         controller: Callable[[], ControllerSettings],
     ) -> None:
-        """Create the publishers.
+        """Create the publishers; `labels` name the terms of the basis.
 
-        Args:
-            node: The controller.
-            labels: Names of the terms of the basis.
-            lossless: Publish the first steps whether or not somebody listens, for those who join
-                late.
-            controller: Returns the present settings, for `debug_rate`.
-
+        `lossless` publishes the first steps also without a subscriber, for late ones. `controller`
+        returns the present settings, for `debug_rate`.
         """
         self._node, self._controller, self._period_told = node, controller, 0
         self._kept = 0  # steps that were published for those who join late
@@ -191,14 +186,9 @@ class Telemetry:
         self._configuration.publish(String(data=text))
 
     def learning(self, problem: str) -> bool:
-        """Say when the Riccati policy takes over from the learned one, and when it hands back.
+        """Say when the Riccati policy takes over from the learned one and back; return if it did.
 
-        Args:
-            problem: Why the Riccati policy drives, empty if it does not.
-
-        Returns:
-            Whether that has changed.
-
+        The problem is why the Riccati policy drives, empty if it does not.
         """
         if problem == self._learning_problem:
             return False

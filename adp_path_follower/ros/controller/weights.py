@@ -33,16 +33,9 @@ class WeightsFiles:
     """
 
     def __init__(self, node: LifecycleNode, settings: Settings, driver: Callable[[], Driver]):
-        """Read the weights, and offer to save them.
+        """Read the weights, and offer to save them; `driver` returns the one that learns.
 
-        Args:
-            node: The controller.
-            settings: Its settings.
-            driver: Returns what learns.
-
-        Raises:
-            FileError: The file is none that these settings can start from.
-
+        Raises FileError if these settings cannot start from the file.
         """
         self._node, self._driver = node, driver
         self._is_writing = False
@@ -65,12 +58,7 @@ class WeightsFiles:
         return "" if self.saved is None else self.saved.digest
 
     def entities(self) -> list[tuple[Any, Any]]:
-        """Create the topic that makes a recording complete.
-
-        Returns:
-            Pairs of what destroys an entity, and the entity.
-
-        """
+        """Create the topic that makes a recording complete; return it with its destructor."""
         if not self._content:
             return []
         publisher = self._node.create_publisher(UInt8MultiArray, "~/initial_weights", LATCHED)
@@ -89,11 +77,9 @@ class WeightsFiles:
         return response
 
     async def _saved(self) -> str:
-        """Save the weights, and return what was done; a thread writes: no disk delays a command.
+        """Save the weights in a thread, so that no disk delays a command; return a report.
 
-        Raises:
-            AdpError: There is nothing to save, or it cannot be written.
-
+        Raises AdpError if there is nothing to save, or it cannot be written.
         """
         if self._is_writing:
             raise AdpError("weights are still being written: ask again when that is done")
