@@ -23,7 +23,7 @@ hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatabl
 @pytest.fixture
 def domain() -> Iterator[int]:
     """Yield the number of a DDS domain that nobody else uses."""
-    from adp_path_follower.study.demo.processes import own_domain
+    from adp_path_follower.study.demo.closed_loop import own_domain
 
     with own_domain() as number:
         yield number

@@ -32,7 +32,7 @@ def paper(directory: FilePath) -> None:
     new_directory(directory)
     with progress_bar("simulating and optimising") as progress:
         found = reproduce(progress)
-    from adp_path_follower.study.paper.figures import draw_paper
+    from adp_path_follower.study.paper.reproduce import draw_paper
 
     draw_paper(found, directory)
     numbers = _numbers(found)

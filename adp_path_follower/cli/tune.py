@@ -132,7 +132,7 @@ def _run(
     from adp_path_follower.study.sweeps.study import open_study, tried
     from adp_path_follower.study.sweeps.study import tune as run_tuning
     from adp_path_follower.study.sweeps.workers import cluster
-    from adp_path_follower.study.sweeps.workers.output_folder import OutputFolder
+    from adp_path_follower.study.sweeps.workers.parts_folder import OutputFolder
     from adp_path_follower.study.sweeps.workers.plan import in_words
 
     begun = time.monotonic()

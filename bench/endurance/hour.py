@@ -45,7 +45,7 @@ from visualization_msgs.msg import MarkerArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.ros.runtime.conversions import poses_message
-from adp_path_follower.study.demo.processes import NodeProcess, own_domain
+from adp_path_follower.study.demo.closed_loop import NodeProcess, own_domain
 from live_nodes import Peer, is_zero  # after the path
 
 WARM_UP = 5.0  # [min] after which memory must not grow any more

@@ -146,7 +146,7 @@ def forked_node(
     arguments: tuple[str, ...] = (),
 ) -> Any:
     """Return a node of the package as a fork of the server; see `NodeProcess`."""
-    from adp_path_follower.study.demo.processes import NodeProcess
+    from adp_path_follower.study.demo.closed_loop import NodeProcess
 
     class ForkedNode(NodeProcess):
         """A node that a server has started."""

@@ -8,7 +8,9 @@ takes a record only if its frame (opcode, length, what follows) makes sense, rea
 import io
 import re
 import struct
+import zlib
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import BinaryIO, NamedTuple, Protocol
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
@@ -16,7 +18,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from adp_path_follower.bags.recovery.mcap_chunk import CHUNK_HEAD, MOST_BYTES, read_chunk
+from adp_path_follower.core.errors import FileError
 
 MAGIC = b"\x89MCAP0\r\n"
 LATEST_TIME = 2**63 - 1  # ROS keeps nanoseconds in a signed number
@@ -47,6 +49,98 @@ _FIXED = (Opcode.FOOTER, Opcode.SUMMARY_OFFSET, Opcode.DATA_END)
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 # An opcode and a length below MOST_BYTES, or the magic between files.
 _CANDIDATE = re.compile(rb"(?s)[\x01-\x0f](?=.{3}[\x00-\x08]\x00{4})|" + MAGIC)
+MOST_BYTES = 128 * 1024 * 1024  # of a record that is read, and of a chunk when unpacked
+CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, length of a name
+_LONGEST_NAME = 8  # of a compression: lz4, zstd
+_PIECE = 256 * 1024
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """The description of a chunk's content in its record."""
+
+    size: int  # its size, unpacked
+    checksum: int  # its CRC32, unpacked; 0 if there is none
+    compression: str  # how it is packed
+    data: memoryview  # the packed content, or the beginning of it
+    torn: bool  # whether the end of the content is missing
+
+
+def read_chunk(body: bytes, length: int) -> Chunk | None:
+    """Return a chunk, or None if the lengths in it disagree.
+
+    Args:
+        body: The record's body, or the beginning of it.
+        length: The length that its frame declares.
+
+    """
+    if len(body) < CHUNK_HEAD.size:
+        return None
+    _, _, size, checksum, name_length = CHUNK_HEAD.unpack_from(body)
+    start = CHUNK_HEAD.size + name_length + 8
+    if name_length > _LONGEST_NAME or len(body) < start:
+        return None
+    (data_length,) = struct.unpack_from("<Q", body, start - 8)
+    name = body[CHUNK_HEAD.size : start - 8]
+    if start + data_length != length or not name.isascii():
+        return None
+    data = memoryview(body)[start:]
+    return Chunk(size, checksum, name.decode(), data, len(body) < length)
+
+
+def unpack_chunk(chunk: Chunk) -> bytes | None:
+    """Return the content of a chunk, or as much as there is of a torn one.
+
+    Returns:
+        None if it is packed in an unknown way, longer than `MOST_BYTES`, or not what it was:
+        one cannot tell then which part of it has changed.
+
+    Raises:
+        FileError: The package that unpacks it is not installed.
+
+    """
+    if chunk.size > MOST_BYTES or chunk.compression not in ("", "lz4", "zstd"):
+        return None
+    content = _unpacked(chunk) if chunk.compression else bytes(chunk.data)
+    if chunk.torn:
+        return content if len(content) <= chunk.size else None
+    sound = not chunk.checksum or zlib.crc32(content) == chunk.checksum
+    return content if sound and len(content) == chunk.size else None
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return what a compressed chunk unpacks to, up to one piece more than it says."""
+    content = bytearray()
+    try:
+        for piece in _lz4(chunk) if chunk.compression == "lz4" else _zstd(chunk):
+            content += piece
+            if len(content) > chunk.size:
+                break
+    except ImportError as error:
+        raise FileError(
+            f"the bag is packed with {chunk.compression}: install the Python package {error.name}"
+        ) from None
+    except Exception:  # lz4 and zstandard have no common error for data that is damaged
+        return bytes(content)
+    return bytes(content)
+
+
+def _lz4(chunk: Chunk) -> Iterator[bytes]:
+    from lz4.frame import LZ4FrameDecompressor
+
+    unpacker = LZ4FrameDecompressor()
+    piece = unpacker.decompress(chunk.data, _PIECE)
+    while piece:
+        yield piece
+        piece = b"" if unpacker.eof else unpacker.decompress(b"", _PIECE)
+
+
+def _zstd(chunk: Chunk) -> Iterator[bytes]:
+    import zstandard
+
+    reader = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(chunk.data))
+    while piece := reader.read(_PIECE):
+        yield piece
 
 
 class Record(NamedTuple):

@@ -22,14 +22,15 @@ from adp_path_follower.bags.recovery.definitions import (
     jazzy_schema,
     message_definition,
 )
-from adp_path_follower.bags.recovery.mcap_chunk import read_chunk, unpack_chunk
 from adp_path_follower.bags.recovery.mcap_scan import (
     LATEST_TIME,
     MAGIC,
     MESSAGE_HEAD,
     Record,
     RecordScanner,
+    read_chunk,
     read_definition,
+    unpack_chunk,
 )
 from adp_path_follower.bags.recovery.metadata import (
     TornMetadata,

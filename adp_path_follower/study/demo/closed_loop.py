@@ -1,8 +1,15 @@
 """Controller, simulator, path publisher and recorder as processes, in lock-step."""
 
+import contextlib
+import fcntl
 import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
@@ -13,8 +20,7 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, yaw_of_quaternion
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.core.settings.schema import Value, flatten
-from adp_path_follower.study.demo.processes import NodeProcess, own_domain
+from adp_path_follower.core.settings.schema import Value, flatten, yaml_text
 from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
 
 _READY_TIMEOUT = 60.0  # [s] for a slow machine to import rclpy four times
@@ -25,6 +31,83 @@ _LOCKSTEP = {"control_trigger": "odometry", "path_start": "beginning", "odom_tim
 _SIM_TIME = {"use_sim_time": True}
 # Faults are about time, so a robot that has some is driven in real time, as a robot is.
 _REAL_TIME = {"path_start": "beginning"}
+_DOMAINS = range(1, 102)  # the ports of higher ones lie where Linux takes ports for clients
+
+
+@contextlib.contextmanager
+def own_domain() -> Iterator[int]:
+    """Claim a ROS domain that no other run on this machine has; raise AdpError if all are taken."""
+    candidates = list(_DOMAINS)
+    random.shuffle(candidates)
+    for domain in candidates:
+        file = FilePath(tempfile.gettempdir()) / f"adp_path_follower_domain_{domain}.lock"
+        with file.open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            yield domain
+            return
+    raise AdpError("every ROS domain from 1 to 101 is taken: end other runs first")
+
+
+class NodeProcess:
+    """One node of this package as a process in a process group of its own."""
+
+    def __init__(
+        self,
+        executable: str,
+        parameters: Mapping[str, Value],
+        *,
+        log: FilePath,
+        domain: int,
+        arguments: tuple[str, ...] = (),
+    ) -> None:
+        """Start "controller", "sim_unicycle", "path_publisher" or "recorder" in a ROS domain.
+
+        `log` gets the node's output; `arguments` follow after ``--ros-args`` and the parameters.
+        """
+        self.name = executable
+        self.log = log
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        }
+        settings = [
+            part
+            for name, value in parameters.items()
+            for part in ("-p", f"{name}:={yaml_text(value)}")
+        ]
+        command = [sys.executable, "-m", "adp_path_follower.ros.runtime.entry", executable]
+        with log.open("wb") as output:
+            self.process = subprocess.Popen(  # noqa: S603  # our own executable
+                [*command, "--ros-args", *settings, *arguments],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                process_group=0,  # not a session, in which a node outlives its parent
+            )
+
+    def output(self) -> str:
+        """Return what the node has printed so far."""
+        return self.log.read_text(encoding="utf-8", errors="replace")
+
+    def last_line(self) -> str:
+        """Return the last line that the node printed."""
+        lines = self.output().strip().splitlines()
+        return lines[-1] if lines else f"exit code {self.process.poll()}"
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = 10.0) -> int:
+        """Ask the node to end, kill its group if it does not, and return its exit code."""
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, number)
+            try:
+                self.process.wait(timeout)
+            except subprocess.TimeoutExpired:
+                os.killpg(self.process.pid, signal.SIGKILL)
+        return self.process.wait()
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 
 import torn_bags
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.bags.recovery.mcap_chunk import MOST_BYTES
+from adp_path_follower.bags.recovery.mcap_scan import MOST_BYTES
 from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.study.replay.replay import replay

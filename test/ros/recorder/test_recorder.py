@@ -27,7 +27,7 @@ from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.ros.recorder.provenance import git_revision
 from adp_path_follower.ros.recorder.settings import RecorderSettings, topic_patterns
-from adp_path_follower.study.demo.processes import own_domain
+from adp_path_follower.study.demo.closed_loop import own_domain
 
 pytestmark = pytest.mark.nodes
 

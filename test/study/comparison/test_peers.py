@@ -323,11 +323,11 @@ def test_nmpc_keeps_its_shifted_plan_when_the_solver_fails(monkeypatch):
 
 @needs_casadi
 def test_nmpc_finds_a_solver_without_a_compiler(monkeypatch):
-    from adp_path_follower.study.comparison.peers import nmpc_solver
+    from adp_path_follower.study.comparison.peers import nmpc
 
     monkeypatch.setenv("PATH", "")
     settings = build(Settings, {**UNLIMITED, "desired_speed": 0.4})
-    solver = nmpc_solver.horizon_solver(settings.target, settings.cost, settings.limits)
+    solver = nmpc.horizon_solver(settings.target, settings.cost, settings.limits)
     assert solver.name.endswith("not compiled")
 
 

@@ -8,8 +8,7 @@ import pytest
 pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
 
 from adp_path_follower.core.path.library import named_path
-from adp_path_follower.study.paper.figures import draw_paper
-from adp_path_follower.study.paper.reproduce import Reproduction, reproduce
+from adp_path_follower.study.paper.reproduce import Reproduction, draw_paper, reproduce
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,30 @@
 Needs the extra `optimum` (CasADi).
 """
 
+from __future__ import annotations
+
+import functools
+import math
+import os
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
-from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.study.comparison.peers.nmpc_solver import STEP, STEPS, Plan, horizon_solver
+from adp_path_follower.core.settings.groups import (
+    CostSettings,
+    LimitSettings,
+    Settings,
+    TargetSettings,
+)
+from adp_path_follower.extras import Library
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
 _MOST_PASSES = 3  # of solving again with the curvature where the last pass has the target
@@ -18,6 +34,207 @@ _CURVATURE_REACH = 0.05  # [m] to either side that a parabola of curvature is ma
 _FARTHEST = 20.0  # [m]: a robot farther away is taken to be there, where solvers still work
 _NEAR = 0.5  # [m, rad]: from a plan that is farther away than this, no solver is warm-started
 _DECAY = 1.0  # [1/s] of the errors in the first guess
+casadi = Library("casadi", "the peer 'nmpc'", "optimum")
+STEPS = 30
+STEP = 0.1  # [s]
+_MOST_ITERATIONS = 100  # one is enough on the path
+_STATES, _INPUTS = 4, 2
+_STAGE = _STATES + _INPUTS
+_CURVATURE_TERMS = 4  # place, and kappa there with its first two derivatives
+_QUIET = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
+_IPOPT = {
+    **_QUIET,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-6,
+    "ipopt.max_iter": _MOST_ITERATIONS,
+}
+_SQP = {
+    **_QUIET,
+    "qpsol": "qrqp",
+    "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
+    "max_iter": _MOST_ITERATIONS // 2,
+    "print_header": False,
+    "print_iteration": False,
+    "print_status": False,
+    "tol_du": 1e-5,
+    "tol_pr": 1e-6,
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A predicted motion."""
+
+    # s [m], y [m], theta [rad], s_p [m] before and after each step, shape (N + 1, 4).
+    state: FloatArray
+    command: FloatArray  # [v, w] that is held over each step [m/s, rad/s], shape (N, 2)
+
+    def after(self, time: float) -> Plan:
+        """Return the plan from a time [s] on, its last command held beyond its end."""
+        shift = time / STEP
+        nodes = np.arange(STEPS + 1) + shift
+        state = np.stack([np.interp(nodes, range(STEPS + 1), row) for row in self.state.T], axis=1)
+        beyond = np.maximum(nodes - STEPS, 0.0)
+        state[:, 3] += beyond * (self.state[-1, 3] - self.state[-2, 3])
+        command = [np.interp(nodes[:-1], range(STEPS), row) for row in self.command.T]
+        return Plan(state, np.stack(command, axis=1))
+
+    def turned_to(self, heading: float) -> Plan:
+        """Return the plan by whole turns nearest to a heading error [rad], which is wrapped."""
+        turns = round((heading - self.state[0, 2]) / (2.0 * math.pi))
+        if turns == 0:
+            return self
+        return Plan(self.state + np.array([0.0, 0.0, 2.0 * math.pi * turns, 0.0]), self.command)
+
+
+@functools.lru_cache(maxsize=8)
+def horizon_solver(
+    target: TargetSettings, cost: CostSettings, limits: LimitSettings
+) -> HorizonSolver:
+    """Return the solver for these settings, compiled if there is a compiler.
+
+    Median tick per robot on the figure eight at 20 Hz, on one core of a small server: 0.7 ms with
+    sqpmethod and qrqp, compiled (2.7 ms if not), 1.7 to 3.1 ms with IPOPT. The fast one can fail
+    from a guess that is metres away; hence IPOPT, 20 to 50 ms, where there is no good plan to start
+    from.
+    """
+    problem = _transcription(target, cost)
+    fast = casadi.nlpsol("nmpc", "sqpmethod", problem, _SQP)
+    careful = casadi.nlpsol("nmpc", "ipopt", problem, _IPOPT)
+    compiled = _compiled(fast)
+    name = f"sqpmethod, {'not ' * (compiled is None)}compiled"
+    return HorizonSolver(compiled or fast, careful, name, limits)
+
+
+class HorizonSolver:
+    """Multiple shooting over the horizon: 30 steps of 0.1 s by RK4, commands held over each.
+
+    The decision variables are [s, y, theta, s_p] and the command [v, w], so that limits are plain
+    bounds; the curvature in each step is a parabola in s_p, about where the plan that it starts
+    from has the virtual target in that step.
+
+    Attributes:
+        name: Options of the fast solver.
+
+    """
+
+    def __init__(self, fast: Any, careful: Any, name: str, limits: LimitSettings) -> None:
+        """Take CasADi's solvers of the transcription."""
+        self._fast, self._careful = fast, careful
+        self.name = name
+        lower = np.full((STEPS, _STAGE), -math.inf)
+        upper = np.full((STEPS, _STAGE), math.inf)
+        lower[:, _STATES:], upper[:, _STATES:] = limits.lower, limits.upper
+        free = np.full(_STATES, math.inf)
+        self._lower = np.append(lower.ravel(), -free)
+        self._upper = np.append(upper.ravel(), free)
+
+    def solve(
+        self,
+        start: FloatArray,
+        guess: Plan,
+        curvature: FloatArray,
+        terminal: FloatArray,
+        careful: bool = False,
+    ) -> Plan | None:
+        """Return the best plan found from a guess; None if the solver fails.
+
+        `start` is [s, y, theta, s_p], shape (4,). `curvature` has place s_p [m], kappa [1/m],
+        kappa' and kappa'' of each step, shape (N, 4). `terminal` is P of the terminal cost e^T P e,
+        shape (3, 3). `careful` takes the slower, safer solver, for a poor guess.
+        """
+        origin = np.array([0.0, 0.0, 0.0, start[3]])  # s_p from the start: small numbers
+        values = np.hstack([guess.state[:-1] - origin, guess.command]).ravel()
+        values = np.append(values, guess.state[-1] - origin)
+        values[:_STATES] = start - origin
+        lower, upper = self._lower.copy(), self._upper.copy()
+        lower[:_STATES] = upper[:_STATES] = start - origin
+        values = np.clip(values, lower, upper)
+        table = curvature - np.array([start[3], 0.0, 0.0, 0.0])
+        parameters = np.concatenate([table.ravel(), terminal.ravel()])
+        solver = self._careful if careful else self._fast
+        try:
+            result = solver(x0=values, p=parameters, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
+        except RuntimeError:
+            return None
+        found = np.array(result["x"]).ravel()
+        if not (solver.stats()["success"] and np.isfinite(found).all()):
+            return None
+        stages = found[:-_STATES].reshape(STEPS, _STAGE)
+        state = np.vstack([stages[:, :_STATES], found[-_STATES:]]) + origin
+        return Plan(state, stages[:, _STATES:])
+
+
+def _transcription(target: TargetSettings, cost: CostSettings) -> dict[str, Any]:
+    """Return the nonlinear program as CasADi wants it, ordered stage by stage."""
+    step = _step_function(target, cost).map(STEPS)
+    stages = casadi.MX.sym("stages", _STAGE, STEPS)  # [state, command] of each
+    last = casadi.MX.sym("last", _STATES)
+    table = casadi.MX.sym("curvature", _CURVATURE_TERMS, STEPS)
+    terminal = casadi.MX.sym("terminal", 3, 3)
+    after, spent = step(stages[:_STATES, :], stages[_STATES:, :], table)
+    gaps = casadi.horzcat(stages[:_STATES, 1:], last) - after
+    return {
+        "x": casadi.vertcat(casadi.vec(stages), last),
+        "p": casadi.vertcat(casadi.vec(table), casadi.vec(terminal)),
+        "f": casadi.sum2(spent) + casadi.bilin(terminal, last[:3], last[:3]),
+        "g": casadi.vec(gaps),
+    }
+
+
+def _step_function(target: TargetSettings, cost: CostSettings) -> Any:
+    """Return a CasADi function (state, command, curvature) -> (state after a step, its cost)."""
+    state, command = casadi.SX.sym("state", _STATES), casadi.SX.sym("command", _INPUTS)
+    table = casadi.SX.sym("curvature", _CURVATURE_TERMS)
+    v_des, gain = target.desired_speed, target.target_gain
+
+    def rates(now: Any) -> tuple[Any, Any]:
+        s, y, theta, arc_length = casadi.vertsplit(now)
+        ahead = arc_length - table[0]
+        curvature = table[1] + ahead * (table[2] + 0.5 * ahead * table[3])
+        speed = v_des * casadi.cos(theta) + gain * s
+        rate = casadi.vertcat(
+            speed * (curvature * y - 1.0) + command[0] * casadi.cos(theta),
+            command[0] * casadi.sin(theta) - curvature * s * speed,
+            command[1] - curvature * speed,
+            speed,
+        )
+        error, modified = now[:3], command - casadi.vertcat(v_des, v_des * curvature)
+        spent = casadi.bilin(cost.state_cost_matrix(), error, error)
+        return rate, spent + casadi.bilin(cost.input_cost_matrix(), modified, modified)
+
+    first, first_cost = rates(state)
+    second, second_cost = rates(state + 0.5 * STEP * first)
+    third, third_cost = rates(state + 0.5 * STEP * second)
+    fourth, fourth_cost = rates(state + STEP * third)
+    after = state + STEP / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+    spent = STEP / 6.0 * (first_cost + 2.0 * second_cost + 2.0 * third_cost + fourth_cost)
+    return casadi.Function("step", [state, command, table], [after, spent])
+
+
+def _compiled(solver: Any) -> Any:
+    """Return CasADi's solver with its functions compiled, or None without a working compiler."""
+    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if compiler is None:
+        return None
+    # Not CasADi's own just-in-time compilation, which leaves files in the working directory.
+    generator = casadi.CodeGenerator("nmpc.c")
+    generator.add(solver.oracle())
+    for function in solver.get_function():
+        generator.add(solver.get_function(function))
+    with tempfile.TemporaryDirectory() as folder:
+        generator.generate(folder + os.sep)
+        source, library = os.path.join(folder, "nmpc.c"), os.path.join(folder, "nmpc.so")
+        flags = ["-O3", "-march=native", "-fPIC", "-shared", "-lm"]
+        # The library stays loaded after its file is gone.
+        try:
+            subprocess.run(  # noqa: S603  # the compiler of this machine
+                [compiler, source, "-o", library, *flags], check=True, capture_output=True
+            )
+            return casadi.nlpsol("nmpc", "sqpmethod", library, _SQP)
+        except (OSError, subprocess.CalledProcessError, RuntimeError):
+            return None
 
 
 class Nmpc(PeerController):
