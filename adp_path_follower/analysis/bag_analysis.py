@@ -8,12 +8,24 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from adp_path_follower.analysis.events import Event, events_of
-from adp_path_follower.analysis.metrics import METRICS, measure_drive, time_in_state, with_states
+from adp_path_follower.analysis.metrics import (
+    METRICS,
+    Requirement,
+    measure_drive,
+    time_in_state,
+    with_states,
+)
 from adp_path_follower.analysis.recorded_run import Drive, drive_of
 from adp_path_follower.analysis.run_charts import charts_of
+from adp_path_follower.analysis.trust import Trust, trust_of
 from adp_path_follower.bags.reader import read_run
+from adp_path_follower.core.path.library import is_path_file, named_points
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import flatten, yaml_text
 from adp_path_follower.drawing.charts import Charts
+
+_SPACING = 0.05  # [m] of the points of a path without any
+NOT_MEASURED = "not measured"
 
 
 @dataclass(frozen=True)
@@ -31,6 +43,7 @@ class BagAnalysis:
         topics: Topic -> number of messages.
         used: The role of a topic -> the topic.
         notes: Sentences about data that could not be used.
+        trust: What the numbers are made of.
 
     """
 
@@ -44,6 +57,7 @@ class BagAnalysis:
     topics: Mapping[str, int]
     used: Mapping[str, str]
     notes: tuple[str, ...]
+    trust: Trust
 
     def __repr__(self) -> str:
         """Return the chief numbers in one line."""
@@ -59,11 +73,15 @@ class BagAnalysis:
         """Return all numbers that a requirement can name."""
         return with_states(self.metrics, self.states)
 
+    def meets(self, requirement: Requirement) -> bool:
+        """Return whether the bag keeps a limit, and measured what it is about."""
+        return requirement.met(self.numbers) and not self.trust.doubt(requirement.name)
+
 
 def number(value: float, digits: int = 4) -> str:
-    """Return a number as people read it, a dash for one that is not known."""
+    """Return a number as people read it, words for one that is not known."""
     if not math.isfinite(value):
-        return "–"
+        return NOT_MEASURED
     return f"{value:.0f}" if value == round(value) and abs(value) < 1e9 else f"{value:.{digits}g}"
 
 
@@ -75,6 +93,8 @@ def metrics_table(analyses: Sequence[BagAnalysis]) -> str:
         texts = [number(item.metrics[metric.name], 6) for item in analyses]
         cells = "".join(f"{text:>{width + 2}}" for text in texts)
         lines.append(f"{metric.name:26}{cells}  {metric.unit}".rstrip())
+    for item in analyses:
+        lines += ["", f"{item.name}:", *(f"  {sentence}" for sentence in item.trust.sentences())]
     return "\n".join(lines)
 
 
@@ -107,16 +127,22 @@ def analyse_bag(
     trajectory: FilePath | None,
     progress: Callable[[float], None] | None = None,
     title: str | None = None,
+    shared: Settings | None = None,
 ) -> BagAnalysis:
     """Return the analysis of a bag, a rosbag2 directory or one of its files.
 
-    `names` maps "odom", "cmd_vel" or "path" to the topic to take for it; `bags` share the figures.
+    `names` maps "odom", "cmd_vel" or "path" to the topic to take for it, "path" also to a file;
+    `bags` share the figures. J is counted by `shared` settings, else by those that the bag names.
     The trajectory is written for the tool evo, unless its file is None. `progress` takes the
     fraction done; the title is by default the name of directory or file. Raises FileError if the
     bag cannot be read, or holds no odometry or path.
     """
-    drive = drive_of(bag, read_run(bag, names, progress))
-    metrics, notes = measure_drive(drive)
+    path, names = None, dict(names)
+    if is_path_file(names.get("path", "")):
+        path = named_points(names["path"], _SPACING)
+        names["path"] = ""  # none of the bag's
+    drive = drive_of(bag, read_run(bag, names, progress), path)
+    metrics, notes = measure_drive(drive, shared)
     if trajectory is not None:
         _write_tum(drive, trajectory)
     events, left_out = events_of(drive)
@@ -132,6 +158,7 @@ def analyse_bag(
         topics=drive.run.message_counts,
         used=drive.run.topics,
         notes=(*drive.notes, *notes, *filter(None, [left_out])),
+        trust=trust_of(drive, metrics),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adp_path_follower.analysis.bag_analysis import BagAnalysis, number
+from adp_path_follower.analysis.bag_analysis import NOT_MEASURED, BagAnalysis, number
 from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.page_figures import motions, page_figures
 from adp_path_follower.drawing.charts import Charts
@@ -147,7 +147,10 @@ def _rows(analyses: Sequence[BagAnalysis]) -> list[_Row]:
         rows.append(
             _Row(
                 metric,
-                tuple((number(value), number(value) == number(best) != "–") for value in values),
+                tuple(
+                    (number(value), number(value) == number(best) != NOT_MEASURED)
+                    for value in values
+                ),
             )
         )
     return rows

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adp_path_follower.analysis.costs import costs_of
 from adp_path_follower.analysis.recorded_run import (
     Drive,
     controller_states,
@@ -17,12 +18,8 @@ from adp_path_follower.analysis.recorded_run import (
     last_time,
     period_of,
 )
-from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.progress import new_start
-from adp_path_follower.core.path.route import route_of
 from adp_path_follower.core.safety.supervisor import State
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.criteria import (
@@ -36,13 +33,9 @@ from adp_path_follower.criteria import (
     time_to_stay,
     transient,
 )
-from adp_path_follower.study.optimum.reference import (
-    COST_HORIZON,
-    cost_over_horizon,
-    is_paper_problem,
-    paper_optimum,
-)
+from adp_path_follower.study.optimum.reference import COST_HORIZON
 
+_NOISES = 3.0  # times its size from which on something is not noise
 _STEADY = (
     f"after the first {TRANSIENT:g} s, of a run shorter than {TRANSIENT / TRANSIENT_SHARE:.0f} s "
     "after a third"
@@ -129,17 +122,21 @@ METRIC_NAMES = tuple(metric.name for metric in METRICS)
 _STATE = "time_in_state."
 
 
-def measure_drive(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return name -> value, NaN where the bag does not tell, and notes on what is missing."""
+def measure_drive(
+    drive: Drive, shared: Settings | None = None
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return name -> value, NaN where the bag does not tell, and notes on what is missing.
+
+    Settings that bags share say what J counts; else it is what the controller ran with.
+    """
     values = dict.fromkeys(METRIC_NAMES, math.nan)
     driving = drive.driving
     time = drive.odometry.time[driving]
-    steps = np.diff(drive.odometry.values[driving, :2], axis=0)
     cross = np.abs(drive.projection.cross_track[driving])
     steady = cross[time >= transient(drive.end)]
     values |= {
         "duration": float(drive.end),
-        "distance": float(np.linalg.norm(steps, axis=1).sum()),
+        "distance": drive.motion.distance(driving),
         "path_covered": _covered(drive),
         **_spread("cross_track", cross),
         **_spread("heading", np.abs(drive.projection.heading[driving])),
@@ -147,7 +144,7 @@ def measure_drive(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
         "steady_cross_track_max": float(steady.max()) if len(steady) else math.nan,
         "messages": float(sum(drive.run.message_counts.values())),
         "settling_time": _settling_time(drive),
-        **approach(time, drive.projection.cross_track[driving]),
+        **approach(time, drive.projection.cross_track[driving], drive.motion.noise),
         **_command_values(drive),
     }
     for key, name, statistic in (
@@ -157,22 +154,24 @@ def measure_drive(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
         if key in drive.learner:
             found = finite(drive.learner[key].values)
             values[name] = statistic(found) if len(found) else math.nan
-    costs, notes = _costs(drive)
+    costs, notes = costs_of(drive, shared or drive.settings)
     return values | costs, notes
 
 
-def approach(time: FloatArray, cross_track: FloatArray) -> dict[str, float]:
-    """Return approach time [s] and overshoot of a distance [m] over time [s], shape (N,) each."""
+def approach(time: FloatArray, cross_track: FloatArray, noise: float = 0.0) -> dict[str, float]:
+    """Return approach time [s] and overshoot of a distance [m] over time [s], shape (N,) each.
+
+    Neither is known of a robot that began on the path, as far as noise [m] tells.
+    """
     found = {"approach_time": math.nan, "overshoot": math.nan}
-    if not len(time):
+    if not len(time) or abs(cross_track[0]) < max(APPROACHED_LEAST, _NOISES * noise):
         return found
     inside, start = has_approached(cross_track), float(cross_track[0])
     taken = time_to_stay(time, inside)
     found["approach_time"] = taken if math.isfinite(taken) else math.nan
-    if abs(start) >= APPROACHED_LEAST:
-        before = cross_track[: np.flatnonzero(~inside)[-1] + 1]
-        other_side = float((-math.copysign(1.0, start) * before).max(initial=0.0))
-        found["overshoot"] = other_side / abs(start)
+    before = cross_track[: np.flatnonzero(~inside)[-1] + 1]
+    other_side = float((-math.copysign(1.0, start) * before).max(initial=0.0))
+    found["overshoot"] = other_side / abs(start)
     return found
 
 
@@ -186,6 +185,8 @@ def _settling_time(drive: Drive) -> float:
         return math.nan
     order = np.argsort(recorded.time[chosen], kind="stable")
     settled = is_settled(recorded.values[chosen][order])
+    if settled.all():  # there was nothing to settle
+        return math.nan
     taken = time_to_stay(recorded.time[chosen][order], settled)
     return taken if math.isfinite(taken) else math.nan
 
@@ -207,6 +208,7 @@ def _covered(drive: Drive) -> float:
     """Return how far the robot came along its path or paths [m]."""
     arc_length = drive.projection.arc_length
     same = drive.driving[1:] & drive.driving[:-1] & (np.diff(drive.segment_of_pose) == 0)
+    same &= ~drive.motion.carried[1:]
     return float(np.diff(arc_length)[same].sum())
 
 
@@ -253,61 +255,6 @@ def _command_values(drive: Drive) -> dict[str, float]:
         p50, p99 = np.quantile(drive.latency, [0.5, 0.99])
         found |= {"latency_p50": float(p50), "latency_p99": float(p99)}
     return found
-
-
-def _costs(drive: Drive) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return cost, optimum and their ratio, as far as the bag tells."""
-    settings, time = drive.settings, drive.commands.time
-    if settings is None:
-        return {}, ("no cost: the bag does not say with which settings the controller ran",)
-    chosen = (time >= 0.0) & (time <= drive.end)
-    if not chosen.any() or drive.end < COST_HORIZON:
-        return {}, (f"no cost: the robot was told to move for less than {COST_HORIZON:g} s",)
-    place = np.searchsorted(drive.odometry.time, time[chosen] + 1e-9, side="right") - 1
-    place = np.maximum(place, 0)
-    numbers = drive.segment_of_pose[place[time[chosen] < COST_HORIZON]]
-    segment, path = drive.segments[numbers[0]], drive.segments[numbers[0]].path
-    if (numbers != numbers[0]).any():
-        return {}, (f"no cost: the path changed in the first {COST_HORIZON:g} s",)
-    if segment.reverse:
-        return {}, ("no cost: the robot drove backwards",)
-    time = time[chosen] - time[chosen][0]
-    count = int(np.searchsorted(time, COST_HORIZON + 1e-6, side="right")) + 1
-    time, poses = time[:count], drive.odometry.values[place[:count], :3]
-    arc_lengths, error = _virtual_target(settings, path, time, poses)
-    cost = cost_over_horizon(
-        settings, path, time, poses, drive.commands.values[chosen][:count], arc_lengths
-    )
-    optimum, notes = _optimal_cost(settings, path, float(arc_lengths[0]), error)
-    return {"cost": cost, "optimal_cost": optimum, "cost_ratio": cost / optimum}, notes
-
-
-def _virtual_target(
-    settings: Settings, path: Path, time: FloatArray, poses: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the virtual target's arc length at each step, shape (N,), and the first error (3,)."""
-    start = new_start(route_of(path), poses[0], settings.controller)
-    target = VirtualTarget(path, settings.target, start.arc_length)
-    arc_lengths, first = np.zeros(len(time)), np.zeros(3)
-    for step, period in enumerate(np.diff(time, prepend=0.0).tolist()):
-        _, error = target.move(poses[step], period)
-        arc_lengths[step] = float(target.arc_length)
-        first = error if step == 0 else first
-    return arc_lengths, first
-
-
-def _optimal_cost(
-    settings: Settings, path: Path, arc_length: float, error: FloatArray
-) -> tuple[float, tuple[str, ...]]:
-    """Return J* from a start, NaN and why where it is not known."""
-    if is_paper_problem(settings, path, arc_length, error):
-        return paper_optimum().cost, ()
-    try:
-        from adp_path_follower.study.optimum.collocation import solve_optimum
-
-        return solve_optimum(settings, path, error, arc_length, COST_HORIZON).cost, ()
-    except AdpError as problem:  # no CasADi, or no optimum found
-        return math.nan, (f"no J*: {problem}",)
 
 
 # Requirements

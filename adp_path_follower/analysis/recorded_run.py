@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import numpy as np
 
+from adp_path_follower.analysis.followed import followed_routes
+from adp_path_follower.analysis.motion import Motion, motion_of
 from adp_path_follower.analysis.segments import segments_driven
+from adp_path_follower.analysis.stamps import Clock, Timeline, timed_stamps, timeline
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Diagnostic, Run
 from adp_path_follower.core.errors import AdpError, FileError
@@ -19,12 +23,11 @@ from adp_path_follower.core.path.nearest import Projection
 from adp_path_follower.core.path.route import Route, Segment
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import parse_configuration
-from adp_path_follower.study.replay.recorded_routes import RecordedRoutes
 
-_OTHER_CLOCK = 1_000_000_000  # [ns] between arrival and stamp: they are of different clocks
 _SAME_CLOCK_SHARE = 0.9  # of the commands that arrived exactly at the stamp of some odometry
-_GREATEST = 1e8  # [m, m/s, rad/s]
 _FLOOR = 1e-9  # [m/s, rad/s]: a command below it is zero
+_NO_COMMANDS = Series(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+_RECENT = 0.5  # [s]: an older target is not the robot's any more
 
 
 @dataclass(frozen=True)
@@ -43,27 +46,6 @@ class Timed:
     labels: tuple[str, ...] = ()
 
 
-class Clock:
-    """Translates arrival into the clock of the stamps, where a bag was recorded by another."""
-
-    def __init__(self, odometry: Series) -> None:
-        """Find out by odometry, which has both times."""
-        late = odometry.arrival - odometry.stamp
-        self._other = bool(len(late)) and abs(float(np.median(late))) > _OTHER_CLOCK
-        if self._other:
-            self._origin, self._first = int(odometry.arrival[0]), int(odometry.stamp[0])
-            # Relative, for a double cannot hold nanoseconds since 1970.
-            self._arrival = (odometry.arrival - self._origin).astype(float)
-            self._stamp = (odometry.stamp - self._first).astype(float)
-
-    def stamps(self, arrival: np.ndarray) -> np.ndarray:
-        """Return stamps [ns] for arrivals [ns]."""
-        if not self._other:
-            return arrival
-        moved = np.interp((arrival - self._origin).astype(float), self._arrival, self._stamp)
-        return np.asarray(self._first + moved.astype(np.int64))
-
-
 @dataclass(frozen=True)
 class Drive:
     """The data that the analysis of a bag uses.
@@ -71,9 +53,12 @@ class Drive:
     Attributes:
         run: Content of the bag.
         clock: Translates arrival into stamps.
+        timelines: "odom" and "cmd_vel" -> their messages, with times that can be trusted.
+        frames: Frames of the paths and of the odometry.
+        motion: The steps from each odometry to the next.
         start: Stamp of the first odometry while the robot was told to move: time 0 [ns].
         end: Time at which it was last told to move [s].
-        odometry: x, y, theta, v, w.
+        odometry: x, y, theta in the frame of the path, v, w.
         projection: The odometry beside the path that was in force; in reverse, that of the robot
             turned round.
         segments: The segments of the paths, in order.
@@ -89,6 +74,9 @@ class Drive:
 
     run: Run
     clock: Clock
+    timelines: dict[str, Timeline]
+    frames: tuple[str, str]
+    motion: Motion
     start: int
     end: float
     odometry: Timed
@@ -111,18 +99,24 @@ class Drive:
         return np.asarray((self.odometry.time >= 0.0) & (self.odometry.time <= self.end))
 
 
-def drive_of(bag: FilePath, run: Run) -> Drive:
+def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
     """Return the drive that a run holds.
+
+    Args:
+        bag: For messages, and for its transforms.
+        run: Its content.
+        path: Poses x, y, heading of a path to compare with instead of the bag's, (N, 3).
 
     Raises:
         FileError: There is no odometry or no path that can be followed.
 
     """
-    notes = list(run.notes)
-    odometry = _odometry(bag, run, notes)
-    routes, route_times = _routes(bag, run, notes)
-    clock = Clock(run.series["odom"])
-    commands = _sorted(run.series.get("cmd_vel"), clock)
+    line = _odometry(bag, run)
+    odometry = line.series
+    clock = Clock(line)
+    followed = followed_routes(bag, run, line, clock, path)
+    told = timeline(run.series.get("cmd_vel", _NO_COMMANDS), run.topics.get("cmd_vel", ""), clock)
+    commands = told.series
     moving = np.flatnonzero(np.abs(commands.values).max(axis=1, initial=0.0) > _FLOOR)
     # Without commands all of the odometry counts.
     first, last = odometry.stamp[0], odometry.stamp[-1]
@@ -130,72 +124,51 @@ def drive_of(bag: FilePath, run: Run) -> Drive:
         first, last = commands.stamp[moving[0]], commands.stamp[moving[-1]]
     index = max(0, int(np.searchsorted(odometry.stamp, first, side="right")) - 1)
     start = int(odometry.stamp[index])
-    # A path that came after the first odometry is projected on from the first one.
-    in_force = np.searchsorted(clock.stamps(route_times), odometry.stamp, side="right") - 1
-    in_force = np.clip(in_force, 0, len(routes) - 1)
-    poses = odometry.values[:, :3]
-    segment_of_pose = _segments(routes, in_force, poses, odometry.values[:, 3])
-    segments = tuple(itertools.chain.from_iterable(route.segments for route in routes))
+    speed = odometry.values[:, 3]
+    motion = motion_of((odometry.stamp - start) * 1e-9, odometry.values[:, :3], speed, line.cut)
+    segment_of_pose = _segments(followed.routes, followed.in_force, followed.poses, speed)
+    segments = tuple(itertools.chain.from_iterable(route.segments for route in followed.routes))
+    learner = _learner(run, clock, start)
+    target = _target_at((odometry.stamp - start) * 1e-9, learner.get("target"))
+    notes = [*run.notes, *line.notes, *followed.notes, *told.notes]
     return Drive(
         run=run,
         clock=clock,
+        timelines={"odom": line, "cmd_vel": told},
+        frames=followed.frames,
+        motion=motion,
         start=start,
         end=float((last - start) * 1e-9),
-        odometry=_timed(odometry, start),
-        projection=_projection(segments, segment_of_pose, poses),
+        odometry=Timed(
+            (odometry.stamp - start) * 1e-9,
+            np.column_stack([followed.poses, odometry.values[:, 3:]]),
+        ),
+        projection=_projection(segments, segment_of_pose, followed.poses, motion, target),
         segments=segments,
         segment_of_pose=segment_of_pose,
         commands=_timed(commands, start),
-        latency=_latency(run.series["odom"], _between(commands, first, last), notes),
-        learner=_learner(run, clock, start),
+        latency=_latency(line, _between(commands, first, last), notes),
+        learner=learner,
         settings=_settings(run, notes),
-        notes=tuple(notes),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 
-def _odometry(bag: FilePath, run: Run, notes: list[str]) -> Series:
-    """Return the odometry in order of its stamps, each once, without what is not finite."""
+def _odometry(bag: FilePath, run: Run) -> Timeline:
+    """Return the odometry in order of its times, each once, without what is not finite."""
     found = run.series.get("odom")
     if found is None:
         raise FileError(
             f"bag {bag} has no odometry: name a topic of nav_msgs/msg/Odometry by --odom"
         )
-    sound = _sound(found.values)
-    if not sound.all():
-        notes.append(f"{int((~sound).sum())} odometry messages are not finite: passed over")
-    stamps, first = np.unique(found.stamp[sound], return_index=True)
-    if not len(stamps):
+    line = timeline(found, run.topics.get("odom", "odometry"))
+    if not len(line.series.stamp):
         raise FileError(f"bag {bag} has no odometry that is finite: nothing to analyse")
-    return Series(stamps, found.values[sound][first], (), found.arrival[sound][first])
-
-
-def _sound(values: FloatArray) -> np.ndarray:
-    """Return which rows are finite, and no greater than a robot's place or speed can be, (N,)."""
-    return np.asarray((np.abs(values) < _GREATEST).all(axis=1))  # NaN is not below, either
-
-
-def _routes(bag: FilePath, run: Run, notes: list[str]) -> tuple[list[Route], np.ndarray]:
-    """Return the routes that can be followed, and when their paths arrived [ns]."""
-    if not run.paths:
-        raise FileError(f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path")
-    routes, times, problem = [], [], ""
-    recorded = RecordedRoutes(run)
-    for number, (time, poses) in enumerate(run.paths):
-        if not len(poses):  # how planners take a path back
-            continue
-        try:
-            routes.append(recorded.followed(number))
-            times.append(time)
-        except AdpError as error:
-            problem = str(error)
-            notes.append(f"a path was passed over: {problem}")
-    if not routes:
-        raise FileError(f"bag {bag} has no path that can be followed: {problem or 'it is empty'}")
-    return routes, np.array(times, dtype=np.int64)
+    return line
 
 
 def _segments(
-    routes: list[Route], in_force: np.ndarray, poses: FloatArray, speed: FloatArray
+    routes: Sequence[Route], in_force: np.ndarray, poses: FloatArray, speed: FloatArray
 ) -> np.ndarray:
     """Return which of all segments is driven at each pose, shape (N,)."""
     found = np.zeros(len(poses), dtype=np.intp)
@@ -208,13 +181,23 @@ def _segments(
 
 
 def _projection(
-    segments: tuple[Segment, ...], segment_of_pose: np.ndarray, poses: FloatArray
+    segments: tuple[Segment, ...],
+    segment_of_pose: np.ndarray,
+    poses: FloatArray,
+    motion: Motion,
+    target: FloatArray,
 ) -> Projection:
     parts = []
     for number in np.unique(segment_of_pose).tolist():
-        segment = segments[number]
-        driven = poses[segment_of_pose == number]
-        parts.append(project(segment.path, segment.heading_of_path(driven)))
+        segment, rows = segments[number], segment_of_pose == number
+        parts.append(
+            project(
+                segment.path,
+                segment.heading_of_path(poses[rows]),
+                motion.reach[rows],
+                segment.heading_of_path(target[rows]),
+            )
+        )
     return Projection(
         np.concatenate([part.arc_length for part in parts]),
         np.concatenate([part.cross_track for part in parts]),
@@ -222,15 +205,17 @@ def _projection(
     )
 
 
-def _sorted(series: Series | None, clock: Clock) -> Series:
-    """Return commands in order of time, each stamp once; none where there is no series."""
-    if series is None:
-        return Series(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
-    stamped = not np.array_equal(series.stamp, series.arrival)
-    sound = _sound(series.values)
-    stamp = series.stamp if stamped else clock.stamps(series.arrival)
-    stamps, first = np.unique(stamp[sound], return_index=True)
-    return Series(stamps, series.values[sound][first], (), series.arrival[sound][first])
+def _target_at(time: FloatArray, target: Timed | None) -> FloatArray:
+    """Return the virtual target's pose at times [s], NaN where none is recorded, shape (N, 3)."""
+    found = np.full((len(time), 3), np.nan)
+    if target is None or not len(target.time):
+        return found
+    order = np.argsort(target.time, kind="stable")
+    times = target.time[order]
+    last = np.searchsorted(times, time + 1e-9, side="right") - 1
+    known = (last >= 0) & (time - times[np.maximum(last, 0)] < _RECENT)
+    found[known] = target.values[order[last[known]], :3]
+    return found
 
 
 def _timed(series: Series, start: int, stamp: np.ndarray | None = None) -> Timed:
@@ -249,10 +234,10 @@ def _learner(run: Run, clock: Clock, start: int) -> dict[str, Timed]:
     for key, series in run.series.items():
         if key in ("odom", "cmd_vel"):
             continue
-        stamp = series.stamp
+        stamp = timed_stamps(series, clock)
         if np.array_equal(series.stamp, series.arrival):
             of_steps = steps is not None and len(steps.stamp) == len(stamp)
-            stamp = steps.stamp if of_steps and steps else clock.stamps(series.arrival)
+            stamp = timed_stamps(steps, clock) if of_steps and steps else stamp
         found[key] = _timed(series, start, stamp)
     return found
 
@@ -263,12 +248,13 @@ def _between(series: Series, first: int, last: int) -> Series:
     return Series(series.stamp[chosen], series.values[chosen], (), series.arrival[chosen])
 
 
-def _latency(odometry: Series, commands: Series, notes: list[str]) -> FloatArray:
+def _latency(line: Timeline, commands: Series, notes: list[str]) -> FloatArray:
     """Return how long after its odometry each command arrived [s].
 
     A command answers the odometry of its own stamp, which lock-step may have repeated; where there
     is none, the last that arrived before it.
     """
+    odometry = Series(line.all_stamps, np.zeros((0, 0)), (), line.all_arrivals)
     if not len(commands.stamp):
         return np.zeros(0)
     if np.isin(commands.arrival, odometry.stamp).mean() > _SAME_CLOCK_SHARE:

@@ -39,6 +39,7 @@ class Series:
     labels: tuple[str, ...] = ()  # names of the columns of an array message
     # Time at which each message was recorded [ns], shape (N,).
     arrival: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    frame: str = ""  # of the first message, empty if it names none
 
 
 class Columns:
@@ -52,6 +53,7 @@ class Columns:
         self._waiting: list[bytes] = []
         self._times: list[int] = []
         self._labels: tuple[str, ...] = ()
+        self._frame = ""
         self._count = 0
         self._other_width = 0  # messages with another number of values than most of the first ones
         self._stamp = np.zeros(0, dtype=np.int64)
@@ -70,7 +72,7 @@ class Columns:
         self._decode()
         values = np.zeros((0, 0)) if self._values is None else self._values
         _resize(self._count, self._stamp, self._arrival, values)
-        found = Series(self._stamp, values, self._labels, self._arrival)
+        found = Series(self._stamp, values, self._labels, self._arrival, self._frame)
         return found, self._decoder.broken, self._other_width
 
     def _decode(self) -> None:
@@ -81,6 +83,9 @@ class Columns:
             (chosen, stamps, _planar(values) if self._has_pose else values)
             for chosen, stamps, values in self._decoder.decode(self._waiting)
         ]
+        if blocks and self._stamped and not self._count:
+            first = self._waiting[min(int(chosen[0]) for chosen, _, _ in blocks)]
+            self._frame = self._decoder.text(first, "header.frame_id")
         if blocks and self._values is None:
             self._values = np.zeros((0, _usual_width([values for _, _, values in blocks])))
         if blocks and self._is_array and not self._labels:

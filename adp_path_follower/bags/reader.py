@@ -14,39 +14,14 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from adp_path_follower.bags.columns import Columns, Series
+from adp_path_follower.bags.opening import opened_bag
+from adp_path_follower.bags.topics import SERIES, Choice, chosen_topics
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.messages.raw import read_path
 
-_NODE = "path_follower"
-_FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")
-_LISTED = 5  # topics in one note
 _REPORTED = 20_000  # messages between two reports of progress
-_ODOMETRY, _PATH = ("nav_msgs/msg/Odometry",), ("nav_msgs/msg/Path",)
-_NUMBER, _ARRAY = ("std_msgs/msg/Float64",), ("std_msgs/msg/Float64MultiArray",)
-# Key in `Run.series`, which is the last part of the topic's name as well -> the types it may have.
-_SERIES = {
-    "odom": _ODOMETRY,
-    "ground_truth": _ODOMETRY,
-    "cmd_vel": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"),
-    "target": ("geometry_msgs/msg/PoseStamped",),
-    "measured_pose": ("geometry_msgs/msg/Vector3Stamped",),
-    "tracking_error": ("geometry_msgs/msg/Vector3Stamped",),
-    "critic_weights": _ARRAY,
-    "actor_weights": _ARRAY,
-    "bellman_error": _NUMBER,
-    "excitation": _NUMBER,
-    "cost": _NUMBER,
-}
-_OTHERS = {
-    "path": _PATH,
-    "configuration": ("std_msgs/msg/String",),
-    "initial_weights": ("std_msgs/msg/UInt8MultiArray",),
-    "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray",),
-}
-_TYPES = {**_SERIES, **_OTHERS}
 _NEEDED = ("odom", "path")  # without which there is nothing to analyse or replay
-_PLAIN = ("odom", "ground_truth", "cmd_vel", "path", "diagnostics")  # not under the node's name
 
 
 @dataclass(frozen=True)
@@ -85,6 +60,8 @@ class Run:
         notes: Sentences about data that were left out.
         initial_weights: Content of the weights file that the controller started from, empty
             without one.
+        path_frames: Frame of each of `paths`; empty where it is not known.
+        span: First and last arrival in the bag [ns].
 
     """
 
@@ -96,6 +73,8 @@ class Run:
     topics: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     initial_weights: bytes = b""
+    path_frames: tuple[str, ...] = ()
+    span: tuple[int, int] = (0, 0)
 
     @property
     def path_points(self) -> FloatArray:
@@ -127,123 +106,26 @@ def read_run(
             odometry or of the path can be decoded.
 
     """
-    _refuse_what_is_no_bag(bag)
-    try:
-        with Reader(bag) as reader:
-            collector = _Collector(_chosen(bag, reader.connections, names or {}), reader)
-            for done, (connection, time, raw) in enumerate(reader.messages()):
-                collector.take(connection, time, raw)
-                if progress is not None and done % _REPORTED == 0:
-                    progress(min(1.0, done / max(1, reader.message_count)))
-            return collector.run()
-    except FileError:
-        raise
-    except Exception as error:  # a damaged file fails in the reading library wherever it will
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise FileError(
-            f"bag {bag} cannot be read: {reason.rstrip('.')}; `adp recover` may save what is in it"
-        ) from None
-
-
-def _refuse_what_is_no_bag(bag: FilePath) -> None:
-    """Say what is there instead of a bag, before the library says that it cannot be read.
-
-    Raises:
-        FileError: It is no bag.
-
-    """
-    if not bag.exists():
-        raise FileError(f"bag {bag} does not exist")
-    if bag.suffix in _PACKED and bag.is_file():
-        raise FileError(
-            f"file {bag} is packed: give the directory of its bag, or unpack it with: unzstd "
-            f"{bag.name}"
-        )
-    if bag.is_file() and bag.suffix not in _FILES:
-        raise FileError(f"file {bag} is no bag: give a directory, or one .mcap or .db3 file")
-    if bag.is_dir() and not (bag / "metadata.yaml").exists():
-        files = [file for file in bag.iterdir() if set(file.suffixes) & set(_FILES)]
-        if not files:
-            raise FileError(
-                f"directory {bag} holds no bag: neither metadata.yaml nor .mcap or .db3"
-            )
-        raise FileError(
-            f"bag {bag} has no metadata.yaml: `adp recover` makes a bag of MCAP files, `ros2 bag "
-            "reindex` of others; or give one of its files"
-        )
-
-
-def _chosen(
-    bag: FilePath, connections: list[Connection], names: Mapping[str, str]
-) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Return key -> topic and notes about it."""
-    types = {connection.topic: connection.msgtype for connection in connections}
-    chosen: dict[str, tuple[str, tuple[str, ...]]] = {}
-    for key, allowed in _TYPES.items():
-        name = names.get(key)
-        wanted = key if key in _PLAIN else f"{_NODE}/{key}"
-        if name is not None:
-            topic = f"/{name.removeprefix('/')}"
-            if topic not in types:
-                fitting = sorted(topic for topic, kind in types.items() if kind in allowed)
-                listed = ", ".join(fitting) or "none"
-                raise FileError(
-                    f"bag {bag} has no topic {topic}; of a type that fits are: {listed}"
-                )
-            if types[topic] not in allowed:
-                raise FileError(
-                    f"topic {topic} of bag {bag} has the type {types[topic]}, but must be "
-                    f"{' or '.join(allowed)}"
-                )
-            chosen[key] = topic, ()
-            continue
-        found = sorted(topic for topic in types if f"/{topic}".endswith(f"/{wanted}"))
-        fitting = [topic for topic in found if types[topic] in allowed]
-        notes = tuple(
-            f"topic {topic} has the type {types[topic]}, not {' or '.join(allowed)}: passed over"
-            for topic in found
-            if topic not in fitting
-        )
-        if len(fitting) > 1 and key in ("odom", "cmd_vel", "path"):
-            option = key.removesuffix("_vel")
-            raise FileError(
-                f"bag {bag} has several topics named {key}: say which by --{option}, one of "
-                + ", ".join(fitting)
-            )
-        if len(fitting) > 1:  # several robots: the one whose odometry was chosen
-            space = chosen["odom"][0].rpartition("/")[0] if "odom" in chosen else ""
-            fitting.sort(key=lambda topic: not topic.startswith(f"{space}/"))
-            notes += (f"several topics named {wanted}: {fitting[0]} was taken",)
-        if fitting or notes:
-            chosen[key] = fitting[0] if fitting else "", notes
-    return chosen
-
-
-def _unknown_types(connections: list[Connection]) -> list[str]:
-    """Return a note on the topics whose type ROS 2 Jazzy does not have, none without such."""
-    known = get_typestore(Stores.ROS2_JAZZY).fielddefs
-    unknown = {
-        connection.topic: connection.msgtype
-        for connection in connections
-        if connection.msgtype not in known
-    }
-    if not unknown:
-        return []
-    listed = [f"{topic} ({kind})" for topic, kind in sorted(unknown.items())[:_LISTED]]
-    if len(unknown) > _LISTED:
-        listed.append(f"and {len(unknown) - _LISTED} more")
-    return [f"topics of types that are not known here: {', '.join(listed)}: passed over"]
+    with opened_bag(bag) as (reader, notes):
+        choice = chosen_topics(bag, reader.connections, names or {})
+        collector = _Collector(choice, reader, notes)
+        for done, (connection, time, raw) in enumerate(reader.messages()):
+            collector.take(connection, time, raw)
+            if progress is not None and done % _REPORTED == 0:
+                progress(min(1.0, done / max(1, reader.message_count)))
+        return collector.run()
 
 
 class _Collector:
     """Sorts messages by their topics."""
 
-    def __init__(self, chosen: dict[str, tuple[str, tuple[str, ...]]], reader: Reader) -> None:
-        self._topics = {key: topic for key, (topic, _) in chosen.items() if topic}
-        self._notes = [note for _, notes in chosen.values() for note in notes]
-        self._notes += _unknown_types(reader.connections)
+    def __init__(self, choice: Choice, reader: Reader, notes: list[str]) -> None:
+        self._topics = choice.topics
+        self._notes = [*notes, *choice.notes]
+        self._first, self._last = 0, 0
         self._counts: dict[str, int] = {}
         self._paths: list[tuple[int, FloatArray]] = []
+        self._frames: list[str] = []
         self._configurations: list[tuple[int, str]] = []
         self._diagnostics: list[Diagnostic] = []
         self._said: dict[str, tuple[int, str]] = {}
@@ -254,14 +136,13 @@ class _Collector:
         self._handlers: dict[int, Callable[[int, bytes], None]] = {}
         keys = {topic: key for key, topic in self._topics.items()}
         stores: dict[str, Typestore] = {}
-        kinds: dict[str, str] = {}
         for connection in reader.connections:
             key, kind = keys.get(connection.topic), connection.msgtype
-            if key is None or kind not in _TYPES[key] or kinds.setdefault(key, kind) != kind:
+            if key is None or kind != choice.kinds[key]:
                 continue
             if kind not in stores:
                 stores[kind] = self._typestore(connection)
-            if key in _SERIES:
+            if key in SERIES:
                 columns = self._columns.setdefault(key, Columns(stores[kind], kind))
                 self._handlers[connection.id] = columns.take
             else:
@@ -270,6 +151,8 @@ class _Collector:
     def take(self, connection: Connection, time: int, raw: bytes) -> None:
         """Take one message that arrived at a time [ns]."""
         topic = connection.topic
+        self._first = min(self._first, time) if self._counts else time
+        self._last = max(self._last, time)
         self._counts[topic] = self._counts.get(topic, 0) + 1
         handler = self._handlers.get(connection.id)
         if handler is not None:
@@ -301,6 +184,8 @@ class _Collector:
             self._topics,
             tuple(self._notes),
             self._initial_weights,
+            tuple(self._frames),
+            (self._first, self._last),
         )
 
     def _note_left_out(self, key: str, count: int, reason: str) -> None:
@@ -355,6 +240,7 @@ class _Collector:
         poses = message.poses
         if not self._paths or not np.array_equal(poses, self._paths[-1][1], equal_nan=True):
             self._paths.append((time, poses))
+            self._frames.append(message.frame)
 
     def _take_configuration(self, time: int, message: Any) -> None:
         if not self._configurations or message.data != self._configurations[-1][1]:

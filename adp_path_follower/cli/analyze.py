@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import sys
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -11,24 +12,30 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adp_path_follower.cli.options import (
-    FILE,
     given_topics,
     out_option,
     progress_bar,
+    settings_options,
     topic_options,
 )
 from adp_path_follower.cli.outputs import output_directory, write_json
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.extras import require
 
 if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to report
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
     from adp_path_follower.analysis.metrics import Requirement
 
+_ONE_TOPIC = r"(?:odom|cmd|path)=[^,]+"
+_WITH_TOPICS = re.compile(rf"(?P<bag>.+?):(?P<topics>{_ONE_TOPIC}(?:,{_ONE_TOPIC})*)")
+
 
 @click.command()
-@click.argument("bags", nargs=-1, required=True, type=FILE, metavar="BAG...")
+@click.argument("bags", nargs=-1, required=True, metavar="BAG[:path=TOPIC,odom=TOPIC,cmd=TOPIC]...")
 @out_option("report", "report, figures and numbers")
 @topic_options
+@settings_options
 @click.option(
     "--require",
     "requirements",
@@ -37,22 +44,25 @@ if TYPE_CHECKING:  # Plotly and Jinja2 are wanted when there is something to rep
     help="Exit with 1 if a bag does not keep this; may be given several times.",
 )
 def analyze(
-    bags: tuple[FilePath, ...],
+    bags: tuple[str, ...],
     directory: FilePath,
     odom: str | None,
     cmd: str | None,
     path: str | None,
+    params: FilePath | None,
+    assignments: tuple[str, ...],
     requirements: tuple[str, ...],
 ) -> None:
     r"""Turn the bags of runs into one report.
 
     A bag is what the recorder or `ros2 bag record` wrote: MCAP or sqlite3, split, compressed. A bag
     of another controller has all figures but the learner's. Several bags are drawn over each other
-    and compared in a table.
+    and compared in a table. The path may be a file, where the bag has none: --path path.csv. With
+    --params or --set, J is counted alike for every bag.
 
     \b
     One run:            adp analyze my_bag
-    Against Nav2:       adp analyze my_bag nav2_bag --path /plan
+    Against Nav2:       adp analyze my_bag nav2_bag:path=/plan,odom=/odom --params default
     In CI:              adp analyze my_bag --require 'cross_track_rms<0.02'
 
     Writes report.html (one file, opens without network), metrics.json, figures/ and
@@ -66,13 +76,19 @@ def analyze(
 
     limits = [parse_requirement(text) for text in requirements]
     topics = given_topics(odom=odom, cmd=cmd, path=path)
+    given = [_bag_and_topics(bag, topics) for bag in bags]
+    shared = load_settings(Settings, "path_follower", params, assignments)
+    compared = shared if params is not None or assignments else None
     analyses: list[BagAnalysis] = []
     with output_directory(directory):
-        for number, (bag, name) in enumerate(zip(bags, names_of(bags), strict=True), start=1):
+        names = names_of([bag for bag, _ in given])
+        for number, ((bag, own), name) in enumerate(zip(given, names, strict=True), start=1):
             file = "trajectory.tum" if len(bags) == 1 else f"trajectory_{number}.tum"
             with progress_bar(f"reading {name}") as progress:
                 analyses.append(
-                    analyse_bag(bag.resolve(), topics, len(bags), directory / file, progress, name)
+                    analyse_bag(
+                        bag.resolve(), own, len(bags), directory / file, progress, name, compared
+                    )
                 )
         draw_bags(analyses, directory / "figures")
         write_json(directory / "metrics.json", _numbers(analyses, limits))
@@ -87,13 +103,23 @@ def analyze(
     sys.exit(1 if missed else 0)
 
 
+def _bag_and_topics(text: str, topics: dict[str, str]) -> tuple[FilePath, dict[str, str]]:
+    """Return the bag and the topics that BAG:path=/plan,odom=/odom means."""
+    match = _WITH_TOPICS.fullmatch(text)
+    if match is None or FilePath(text).exists():
+        return FilePath(text), topics
+    own = dict(item.split("=", 1) for item in match["topics"].split(","))
+    return FilePath(match["bag"]), {**topics, **given_topics(**own)}
+
+
 def _missed(analyses: list[BagAnalysis], limits: list[Requirement]) -> list[str]:
     """Return a sentence for each requirement that a bag does not keep."""
     missed = []
     for limit, item in itertools.product(limits, analyses):
-        if not limit.met(item.numbers):
-            value = item.numbers.get(limit.name, math.nan)
+        if not item.meets(limit):
+            value, doubt = item.numbers.get(limit.name, math.nan), item.trust.doubt(limit.name)
             found = "not known" if math.isnan(value) else f"{value:.6g}"
+            found += f", but hardly measured: {doubt}" if doubt else ""
             missed.append(
                 f"required {limit.text} is not met by {item.name}: {limit.name} is {found}"
             )
@@ -109,12 +135,13 @@ def _numbers(analyses: list[BagAnalysis], limits: list[Requirement]) -> dict[str
                 "metrics": dict(item.metrics),
                 "time_in_state": dict(item.states),
                 "topics": dict(item.topics),
+                "trust": item.trust.as_mapping(),
                 "notes": list(item.notes),
             }
             for item in analyses
         ],
         "requirements": [
-            {"text": limit.text, "met": [limit.met(item.numbers) for item in analyses]}
+            {"text": limit.text, "met": [item.meets(limit) for item in analyses]}
             for limit in limits
         ],
     }

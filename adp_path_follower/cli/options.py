@@ -85,7 +85,8 @@ def topic_options(command: Command) -> Command:
     """Add --odom, --cmd and --path, of which `given_topics` makes one mapping."""
     for name, what in (("path", "path"), ("cmd", "commands"), ("odom", "odometry")):
         key = _TOPICS[name]
-        text = f"Topic of the {what} in the bag; any named '{key}' if not given."
+        text = f"Topic of the {what} in the bag; any named '{key}', or the only one of its type, "
+        text += "if not given."
         command = click.option(f"--{name}", metavar="TOPIC", help=text)(command)
     return command
 

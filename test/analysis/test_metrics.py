@@ -115,7 +115,10 @@ def test_approach_and_overshoot():
     found = approach(time, -0.4 * np.exp(-0.5 * time) * np.cos(np.pi * time))
     assert found["overshoot"] == pytest.approx(math.exp(-0.5), rel=0.02)
     assert math.isnan(approach(time, np.full(len(time), 0.3))["approach_time"])
-    assert approach(time, np.full(len(time), 0.001))["approach_time"] == 0.0
+    # A robot that begins on the path has nothing to approach, and noise overshoots nothing.
+    for lateral, noise in ((0.001, 0.0), (0.02, 0.01)):
+        found = approach(time, np.full(len(time), lateral), noise)
+        assert all(math.isnan(value) for value in found.values())
 
 
 def test_cost_beside_a_line_and_its_optimum(tmp_path):

@@ -95,7 +95,15 @@ def test_other_topic_names(tmp_path):
     names = {"/odom": "/base/filtered", "/cmd_vel": "/nav/command", "/path": "/plan"}
     messages = [(names[topic], time, message) for topic, time, message in small_run()]
     bag = write_bag(tmp_path / "bag", messages)
-    assert read_run(bag).series == {}
+    alone = read_run(bag)  # each is the only one of its type
+    assert set(alone.series) == {"odom", "cmd_vel"}
+    assert (
+        alone.notes[0]
+        == "no topic is named odom: /base/filtered was taken, the only one of its type"
+    )
+    other = [("/other", 1, messages[1][2])]
+    bag_of_two = write_bag(tmp_path / "two", sorted([*messages, *other], key=lambda item: item[1]))
+    assert "odom" not in read_run(bag_of_two).series
     given = {"odom": "base/filtered", "cmd_vel": "/nav/command", "path": "plan"}
     run = read_run(bag, given)
     assert set(run.series) == {"odom", "cmd_vel"}

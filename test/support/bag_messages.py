@@ -59,11 +59,46 @@ def array(values, label="a, b"):
     return TYPES["std_msgs/msg/Float64MultiArray"](layout, np.array(values, dtype=float))
 
 
-def path_message(points):
+def path_message(points, frame="odom"):
+    """Return a path through x, y or x, y, theta of each point."""
     stamped = TYPES["geometry_msgs/msg/PoseStamped"]
+    poses = [pose(*point, *[0.0] * (3 - len(point))) for point in points]
     return TYPES["nav_msgs/msg/Path"](
-        header(0), [stamped(header(0), pose(x, y, 0.0)) for x, y in points]
+        header(0, frame), [stamped(header(0, frame), item) for item in poses]
     )
+
+
+def transform(stamp: int, parent: str, child: str, x: float, y: float, theta: float):
+    planar = pose(x, y, theta)
+    moved = TYPES["geometry_msgs/msg/Transform"](vector(x, y), planar.orientation)
+    item = TYPES["geometry_msgs/msg/TransformStamped"](header(stamp, parent), child, moved)
+    return TYPES["tf2_msgs/msg/TFMessage"]([item])
+
+
+def drive_along(poses, path, rate=50, stamps=None, speed=0.5, frame="odom", path_frame="odom"):
+    """Return the messages of a robot at poses (N, 3), with a command for each.
+
+    Args:
+        poses: x, y, theta at an even rate.
+        path: Points of the path.
+        rate: Rate [Hz].
+        stamps: Of odometry and commands [ns], (N,); those of arrival if None.
+        speed: v [m/s] of odometry and commands, a number or one for each.
+        frame: Frame of the odometry.
+        path_frame: Frame of the path.
+
+    """
+    arrivals = 1000 * SECOND + np.arange(len(poses)) * SECOND // rate
+    stamps = arrivals if stamps is None else stamps
+    speeds = np.broadcast_to(speed, len(poses)).tolist()
+    messages = [("/path", 999 * SECOND, path_message(path, path_frame))]
+    for now, stamp, place, v in zip(
+        arrivals.tolist(), np.asarray(stamps).tolist(), np.asarray(poses).tolist(), speeds,
+        strict=True,
+    ):  # fmt: skip
+        messages.append(("/odom", now, odometry(stamp, *place, v, frame=frame)))
+        messages.append(("/cmd_vel", now + 2_000_000, twist_stamped(stamp, v, 0.1)))
+    return messages
 
 
 def text(content: str):

@@ -9,8 +9,7 @@ from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.driving.arrival import Goal
-from adp_path_follower.core.driving.command_law import CommandLaw
-from adp_path_follower.core.driving.output import FollowerOutput
+from adp_path_follower.core.driving.command_law import CommandLaw, FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.bellman import BellmanErrors
 from adp_path_follower.core.learning.learner import Learner, Observation
@@ -73,7 +72,7 @@ class PathFollower:
             self._learner = PathLearner(settings, path, riccati, self.profile, batch)
         else:
             self._learner = PathStateLearner(settings, path, riccati, weights, self.profile)
-        self.law = CommandLaw(settings, riccati, self._learner, self._actuation, self.profile)
+        self.law = CommandLaw(settings, riccati, self._learner, self._actuation)
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
         self._period = 0.0  # [s] of the last step

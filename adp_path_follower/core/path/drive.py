@@ -12,8 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.nearest import Projection, beside, nearest_of
 
@@ -29,6 +30,10 @@ _EARLY = 0.02  # [m²] for beginning at the end of the path instead of its start
 _LEAST_JUMP = 1.0  # [m] between two poses, and ...
 _MANY_STEPS = 5.0  # ... times a usual step: not driven, so the place may be anywhere
 _SPACING = 0.02  # [m] of the places that are compared between anchors
+_ON_PATH = 0.01  # [m] from the path: a target farther away is on another one
+_LOST = 1e-4  # [m] between distance and cross-track: the place is not abreast of the robot
+_MOST_CANDIDATES_BETWEEN = 2000  # two anchors
+_CORNER_PLACES = 81  # about the nearest place, where Newton's method does not help
 _PIECE = 20_000  # poses refined at once: all of a long drive would take hundreds of MB
 _MOST_POSES = 1000  # between two anchors
 _BLOCK = 2_000_000  # distances computed at once
@@ -64,7 +69,12 @@ class _Candidates:
     cost: FloatArray
 
 
-def project(path: Path, poses: FloatArray) -> Projection:
+def project(
+    path: Path,
+    poses: FloatArray,
+    driven: FloatArray | None = None,
+    target: FloatArray | None = None,
+) -> Projection:
     """Return the places of a path along a drive.
 
     Beyond the ends of an open path the distance is that to the end.
@@ -72,13 +82,18 @@ def project(path: Path, poses: FloatArray) -> Projection:
     Args:
         path: The path.
         poses: x [m], y [m], theta [rad] in order of time, shape (N, 3).
+        driven: Distance driven since the pose before [m], shape (N,), where it may be more than
+            that between the two: few poses round a tight turn.
+        target: Poses on the path that the robot followed, shape (N, 3), NaN where unknown.
 
     """
     if not len(poses):
         return Projection(np.zeros(0), np.zeros(0), np.zeros(0))
-    anchors = _anchors(poses)
-    places = _assigned(path, poses, anchors)
-    arc_length = _between(path, poses, anchors, places)
+    led = poses if target is None else _led(path, poses, target)
+    anchors = _anchors(led, np.zeros(len(poses)) if driven is None else driven)
+    places = _assigned(path, led, anchors)
+    away = np.hypot(*(led - poses)[:, :2].T)
+    arc_length = _between(path, poses, anchors, places, away)
     pieces = [slice(at, at + _PIECE) for at in range(0, len(poses), _PIECE)]
     found = [_exact(path, poses[rows], arc_length[rows]) for rows in pieces]
     return Projection(
@@ -88,9 +103,21 @@ def project(path: Path, poses: FloatArray) -> Projection:
     )
 
 
+def _led(path: Path, poses: FloatArray, target: FloatArray) -> FloatArray:
+    """Return the target where it is known and on the path, else the pose itself, (N, 3)."""
+    known = np.flatnonzero(np.isfinite(target).all(axis=1))
+    samples = path.samples
+    tree = cKDTree(np.column_stack([samples.x, samples.y]))
+    spacing = path.length / (len(samples.arc_length) - 1)
+    known = known[tree.query(target[known, :2])[0] < _ON_PATH + spacing]
+    led = poses.copy()
+    led[known] = target[known]
+    return led
+
+
 def _exact(path: Path, poses: FloatArray, arc_length: FloatArray) -> Projection:
     """Return the exact places, and beyond an end the distance to the end."""
-    found = beside(path, poses, arc_length, _SPACING)
+    found = _at_corners(path, poses, arc_length, beside(path, poses, arc_length, _SPACING))
     if path.closed:
         return found
     inside = np.clip(found.arc_length, 0.0, path.length)
@@ -100,7 +127,26 @@ def _exact(path: Path, poses: FloatArray, arc_length: FloatArray) -> Projection:
     return Projection(inside, np.where(beyond, side, found.cross_track), found.heading)
 
 
-def _anchors(poses: FloatArray) -> _Anchors:
+def _at_corners(path: Path, poses: FloatArray, near: FloatArray, found: Projection) -> Projection:
+    """Return places with those replaced that Newton's method does not find, as at a corner."""
+    distance = np.hypot(*(path.frame(near).pose - poses)[:, :2].T)
+    gap = np.hypot(*(path.frame(found.arc_length).pose - poses)[:, :2].T)
+    lost = np.flatnonzero((gap > distance + 1e-9) | (gap - np.abs(found.cross_track) > _LOST))
+    if not len(lost):
+        return found
+    around = np.linspace(-_SPACING, _SPACING, _CORNER_PLACES)
+    best = nearest_of(path, poses[lost], near[lost, None] + around)
+    pose = path.frame(best).pose
+    error = tracking_error(poses[lost], pose)
+    arc_length, cross_track, heading = (
+        np.array(values) for values in (found.arc_length, found.cross_track, found.heading)
+    )
+    arc_length[lost], heading[lost] = best, error[:, 2]
+    cross_track[lost] = np.copysign(np.hypot(error[:, 0], error[:, 1]), error[:, 1])
+    return Projection(arc_length, cross_track, heading)
+
+
+def _anchors(poses: FloatArray, driven: FloatArray) -> _Anchors:
     """Return anchors about every 0.25 m, and about every jump."""
     steps = np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T)
     moving = steps[steps > 0.01 * _STRIDE]
@@ -113,7 +159,8 @@ def _anchors(poses: FloatArray) -> _Anchors:
     chords = np.diff(poses[index, :2], axis=0, prepend=poses[index[:1], :2])
     carried = np.zeros(len(index), dtype=bool)
     carried[np.searchsorted(index, jumps)] = True
-    return _Anchors(index, np.hypot(*chords.T), carried)
+    since = np.diff(np.cumsum(driven)[index], prepend=0.0)
+    return _Anchors(index, np.maximum(np.hypot(*chords.T), since), carried)
 
 
 def _assigned(path: Path, poses: FloatArray, anchors: _Anchors) -> FloatArray:
@@ -208,8 +255,13 @@ def _moving_cost(moved: FloatArray, way: float, free: bool) -> FloatArray:
     return np.asarray(np.minimum(backwards + _JUMP_COST * excess, _JUMP_COST))
 
 
-def _between(path: Path, poses: FloatArray, anchors: _Anchors, places: FloatArray) -> FloatArray:
-    """Return the nearest place [m] about the anchors' places for each pose, shape (N,)."""
+def _between(
+    path: Path, poses: FloatArray, anchors: _Anchors, places: FloatArray, away: FloatArray
+) -> FloatArray:
+    """Return the nearest place [m] about the anchors' places for each pose, shape (N,).
+
+    The poses that lead the assignment are as far away [m] from the robot's, shape (N,).
+    """
     arc_length = np.empty(len(poses))
     stops = np.append(anchors.index[1:], len(poses))
     ahead, ways = np.append(places[1:], places[-1]), np.append(anchors.way[1:], 0.0)
@@ -219,7 +271,9 @@ def _between(path: Path, poses: FloatArray, anchors: _Anchors, places: FloatArra
         low, high = min(here, there), max(here, there)
         if high - low > _SLACK + _STRETCH * way:  # it jumps after these poses
             low = high = here
-        count = max(2, math.ceil((high - low + 2.0 * _SLACK) / _SPACING) + 1)
-        candidates = np.linspace(low - _SLACK, high + _SLACK, count)
+        reach = _SLACK + min(float(away[start:stop].max()), 0.5 * path.length)
+        count = max(2, math.ceil((high - low + 2.0 * reach) / _SPACING) + 1)
+        count = min(count, _MOST_CANDIDATES_BETWEEN)
+        candidates = np.linspace(low - reach, high + reach, count)
         arc_length[start:stop] = nearest_of(path, poses[start:stop], candidates)
     return arc_length

@@ -6,9 +6,8 @@ from dataclasses import replace
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.preparation import prepare
-from adp_path_follower.core.path.route import Route, route_of
+from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import setting_fields, update
 from adp_path_follower.messages.configuration import Configuration, parse_configuration
@@ -33,7 +32,9 @@ class RecordedRoutes:
         self._fixed, self._overlay = fixed, overlay or {}
         names = {field.name for field in setting_fields(Settings) if field.group == "path"}
         self._laid = names.intersection(self._overlay)
-        self._changes = _configurations(run)
+        configurations = _configurations(run)
+        self._times = [time for time, _ in configurations]
+        self._changes = [change for _, change in configurations]
         self._known = _path_settings(self._changes)
         self._prepared: dict[tuple[int, PathSettings, tuple[float, ...]], Route | None] = {}
         self._found: dict[tuple[str, tuple[float, ...]], Route] = {}
@@ -43,16 +44,30 @@ class RecordedRoutes:
         poses = [poses for poses in self._poses if len(poses)]
         return _route(poses[-1], settings.path, ())
 
-    def followed(self, number: int) -> Route:
-        """Return the route of a path of the run as it was followed, else as its points have it.
+    def in_force(self) -> list[tuple[int, Route]]:
+        """Return the routes that the controller said it followed, and since which arrival [ns]."""
+        found: list[tuple[int, Route]] = []
+        last: tuple[str, tuple[float, ...]] | None = None
+        for time, change in zip(self._times, self._changes, strict=True):
+            key = change.path_digest, change.transform
+            if not change.path_digest or key == last:
+                continue
+            try:
+                route = self.of(change)
+            except FileError:  # its path is not in the bag
+                return []
+            if route is not None:
+                found.append((time, route))
+                last = key
+        return found
 
-        Raises PathError if it cannot be followed.
-        """
+    def followed(self, number: int) -> Route | None:
+        """Return the route that the controller made of a path of the run, None if it made none."""
         for change in self._changes:
             route = self._made(number, change.settings.path, change.transform)
             if route is not None and change.path_digest == route.digest():
                 return route
-        return route_of(Path.from_points(self._poses[number][:, :2]))
+        return None
 
     def of(self, change: Configuration) -> Route | None:
         """Return the route that a configuration names, None without; FileError if it is missing."""
@@ -104,16 +119,16 @@ def _route(poses: FloatArray, settings: PathSettings, transform: tuple[float, ..
     return prepare(moved[:, :2], settings, moved[:, 2])
 
 
-def _configurations(run: Run) -> list[Configuration]:
-    """Return the configurations of the run that this version understands."""
+def _configurations(run: Run) -> list[tuple[int, Configuration]]:
+    """Return arrival and content of the configurations that this version understands."""
     found = []
-    for _, text in run.configurations:
+    for time, text in run.configurations:
         try:
             change = parse_configuration(text)
             _ = change.settings
         except AdpError:
             continue
-        found.append(change)
+        found.append((time, change))
     return found
 
 

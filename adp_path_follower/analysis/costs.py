@@ -1,0 +1,107 @@
+"""J of a recorded run, of any controller, and the optimum J* from the same start."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adp_path_follower.analysis.recorded_run import Drive
+from adp_path_follower.core.control.virtual_target import VirtualTarget
+from adp_path_follower.core.errors import AdpError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.progress import new_start
+from adp_path_follower.core.path.route import route_of
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.study.optimum.reference import (
+    COST_HORIZON,
+    cost_over_horizon,
+    is_paper_problem,
+    paper_optimum,
+)
+
+_NOISES = 3.0  # times the cost of the noise from which on J* is none
+_LEAST_OPTIMUM = 1e-4  # J* of a start half a centimetre beside the path
+_LEAST_RATIO = 0.9  # J / J*: less is no matter of rounding
+
+
+def costs_of(drive: Drive, settings: Settings | None) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return cost, optimum and their ratio, as far as the bag tells."""
+    time = drive.commands.time
+    if settings is None:
+        return {}, (
+            "no cost: the bag does not say with which settings the controller ran; --params gives "
+            "some to all bags",
+        )
+    chosen = (time >= 0.0) & (time <= drive.end)
+    if not chosen.any() or drive.end < COST_HORIZON:
+        return {}, (f"no cost: the robot was told to move for less than {COST_HORIZON:g} s",)
+    place = np.searchsorted(drive.odometry.time, time[chosen] + 1e-9, side="right") - 1
+    place = np.maximum(place, 0)
+    numbers = drive.segment_of_pose[place[time[chosen] < COST_HORIZON]]
+    segment, path = drive.segments[numbers[0]], drive.segments[numbers[0]].path
+    if (numbers != numbers[0]).any():
+        return {}, (f"no cost: the path changed in the first {COST_HORIZON:g} s",)
+    if segment.reverse:
+        return {}, ("no cost: the robot drove backwards",)
+    time = time[chosen] - time[chosen][0]
+    count = int(np.searchsorted(time, COST_HORIZON + 1e-6, side="right")) + 1
+    time, poses = time[:count], drive.odometry.values[place[:count], :3]
+    start = float(drive.projection.arc_length[place[0]])
+    if drive.settings is not None:  # our own controller has its rule
+        start = new_start(route_of(path), poses[0], settings.controller).arc_length
+    arc_lengths, error = _virtual_target(settings, path, time, poses, start)
+    cost = cost_over_horizon(
+        settings, path, time, poses, drive.commands.values[chosen][:count], arc_lengths
+    )
+    optimum, notes = _optimal_cost(settings, path, float(arc_lengths[0]), error)
+    weights = settings.cost.state_cost_matrix()
+    noise = COST_HORIZON * float(weights[0, 0] + weights[1, 1]) * drive.motion.noise**2
+    ratio, doubt = _cost_ratio(cost, optimum, max(_LEAST_OPTIMUM, _NOISES * noise))
+    return {"cost": cost, "optimal_cost": optimum, "cost_ratio": ratio}, (*notes, *doubt)
+
+
+def _cost_ratio(cost: float, optimum: float, least: float) -> tuple[float, tuple[str, ...]]:
+    """Return J / J*, NaN where it would say nothing, and what is to be known about it."""
+    if not math.isfinite(cost / optimum if optimum else math.nan):
+        return math.nan, ()
+    if optimum < least:
+        return math.nan, (
+            f"no cost_ratio: J* is {optimum:.2g}, of the size of noise; the robot began on its "
+            "path",
+        )
+    ratio = cost / optimum
+    if ratio >= 1.0:
+        return ratio, ()
+    said = f"J is {ratio:.4g} of J*, which no controller can be on the same way"
+    if ratio < _LEAST_RATIO:
+        return math.nan, (f"no cost_ratio: {said}; the odometry is not what was optimised",)
+    return ratio, (f"{said}: sampling and noise of the odometry make the difference",)
+
+
+def _virtual_target(
+    settings: Settings, path: Path, time: FloatArray, poses: FloatArray, start: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the virtual target's arc length at each step, shape (N,), and the first error (3,)."""
+    target = VirtualTarget(path, settings.target, start)
+    arc_lengths, first = np.zeros(len(time)), np.zeros(3)
+    for step, period in enumerate(np.diff(time, prepend=0.0).tolist()):
+        _, error = target.move(poses[step], period)
+        arc_lengths[step] = float(target.arc_length)
+        first = error if step == 0 else first
+    return arc_lengths, first
+
+
+def _optimal_cost(
+    settings: Settings, path: Path, arc_length: float, error: FloatArray
+) -> tuple[float, tuple[str, ...]]:
+    """Return J* from a start, NaN and why where it is not known."""
+    if is_paper_problem(settings, path, arc_length, error):
+        return paper_optimum().cost, ()
+    try:
+        from adp_path_follower.study.optimum.collocation import solve_optimum
+
+        return solve_optimum(settings, path, error, arc_length, COST_HORIZON).cost, ()
+    except AdpError as problem:  # no CasADi, or no optimum found
+        return math.nan, (f"no J*: {problem}",)

@@ -1,0 +1,165 @@
+"""The routes that a recorded robot was to follow, and when; its poses in their frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from adp_path_follower.analysis.stamps import Clock, Timeline
+from adp_path_follower.bags.reader import Run
+from adp_path_follower.bags.transforms import frame_name, read_transforms
+from adp_path_follower.core.errors import AdpError, FileError
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path, TurningBackError
+from adp_path_follower.core.path.points import chord_spline, distinct_points, joined
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.path.route import Route, route_of
+from adp_path_follower.core.path.smoothing import Interpolation
+from adp_path_follower.core.settings.groups import PathSettings
+from adp_path_follower.study.replay.recorded_routes import RecordedRoutes
+
+_AS_DRAWN = 0.002  # [m] from the polyline that a path may be, and where there are ...
+_MANY, _OF_MANY = 20, 0.01  # ... more paths than this, as of a planner that plans all the time
+_MOSTLY = 0.5  # share of the poses for which a transform must be known
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The routes of a run.
+
+    Attributes:
+        routes: In the order in which they were in force.
+        in_force: Which of them was in force at each odometry, shape (N,).
+        poses: The odometry's x, y, theta in the frame of its route, shape (N, 3).
+        frames: Frames of the paths and of the odometry, as sentences have them.
+        notes: Sentences about what was left out or brought to another frame.
+
+    """
+
+    routes: tuple[Route, ...]
+    in_force: np.ndarray
+    poses: FloatArray
+    frames: tuple[str, str]
+    notes: tuple[str, ...]
+
+
+def followed_routes(
+    bag: FilePath, run: Run, odometry: Timeline, clock: Clock, path: FloatArray | None
+) -> Followed:
+    """Return the routes of a run; a path that came after the first odometry counts from there on.
+
+    Args:
+        bag: For messages, and for its transforms.
+        run: Its content.
+        odometry: The robot's poses.
+        clock: Translates arrival into the clock of the odometry.
+        path: Poses x, y, heading to compare with instead of the bag's paths, None for those.
+
+    Raises:
+        FileError: There is no path that can be followed, or none in a frame that can be compared.
+
+    """
+    notes: list[str] = []
+    found: Sequence[tuple[int, Route, str]]
+    if path is not None:
+        found = [(0, route_along(path), "")]
+    else:
+        # What our own controller says that it followed is in the odometry's frame.
+        found = [(time, route, "") for time, route in RecordedRoutes(run).in_force()]
+        found = found or _recorded(bag, run, notes)
+    times = np.array([time for time, _, _ in found], dtype=np.int64)
+    in_force = np.searchsorted(clock.stamps(times), odometry.series.stamp, side="right") - 1
+    in_force = np.clip(in_force, 0, len(found) - 1)
+    own = run.series["odom"].frame
+    poses = odometry.series.values[:, :3].copy()
+    moved: dict[str, FloatArray] = {}
+    frames = list(dict.fromkeys(frame for _, _, frame in found if frame)) or [own]
+    for number, (_, _, frame) in enumerate(found):
+        rows = in_force == number
+        if not frame or not own or frame_name(frame) == frame_name(own) or not rows.any():
+            continue
+        if frame not in moved:
+            moved[frame] = _moved(bag, odometry, own, frame, notes)
+        poses[rows] = moved[frame][rows]
+    return Followed(
+        tuple(route for _, route, _ in found), in_force, poses, (", ".join(frames), own),
+        tuple(notes),
+    )  # fmt: skip
+
+
+def _recorded(bag: FilePath, run: Run, notes: list[str]) -> list[tuple[int, Route, str]]:
+    """Return arrival, route and frame of each path in the bag that can be followed."""
+    if not run.paths:
+        raise FileError(
+            f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path, or a file"
+        )
+    found, problem = [], ""
+    frames = run.path_frames or ("",) * len(run.paths)
+    recorded = RecordedRoutes(run)
+    tolerance = _OF_MANY if len(run.paths) > _MANY else _AS_DRAWN
+    for number, ((time, poses), frame) in enumerate(zip(run.paths, frames, strict=True)):
+        if not len(poses):  # how planners take a path back
+            continue
+        try:
+            route = recorded.followed(number)
+            found.append((time, route or route_along(poses, tolerance), "" if route else frame))
+        except AdpError as error:
+            problem = str(error)
+            notes.append(f"a path was passed over: {problem}")
+    if not found:
+        raise FileError(f"bag {bag} has no path that can be followed: {problem or 'it is empty'}")
+    return found
+
+
+def route_along(poses: FloatArray, tolerance: float = _AS_DRAWN) -> Route:
+    """Return the route along the polyline of poses: another controller rounds it as it likes.
+
+    Args:
+        poses: x, y and heading of each, NaN without, shape (N, 3).
+        tolerance: How far from it the route may be [m].
+
+    Raises:
+        PathError: They make no path.
+
+    """
+    try:
+        points, index = distinct_points(poses[:, :2])
+        points, closed = joined(points, None)
+        motion = np.arctan2(*np.diff(points, axis=0).T[::-1])
+        heading = poses[index, 2][: len(motion)]
+        forwards = not (np.cos(heading - motion[: len(heading)]) < 0.0).any()
+        through = Interpolation(*chord_spline(points, closed), points, closed)
+        if forwards and through.bulges.max() <= tolerance:
+            return route_of(Path.from_points(points, closed))
+    except TurningBackError:
+        pass
+    settings = PathSettings(path_tolerance=tolerance, allow_reversing=True)
+    return prepare(poses[:, :2], settings, poses[:, 2])
+
+
+def _moved(bag: FilePath, odometry: Timeline, own: str, frame: str, notes: list[str]) -> FloatArray:
+    """Return the poses of the odometry in the frame of a path, (N, 3).
+
+    Raises:
+        FileError: The bag does not say where one frame is in the other.
+
+    """
+    series = odometry.series
+    times = series.arrival if odometry.by_arrival or odometry.cut.any() else series.stamp
+    moved = read_transforms(bag).moved(
+        series.values[:, :3], frame_name(own), frame_name(frame), times, times is not series.stamp
+    )
+    if moved is None or moved[1] < _MOSTLY:
+        why = "holds no transform between them" if moved is None else (
+            f"has the transform between them for {100.0 * moved[1]:.0f} % of the odometry only"
+        )  # fmt: skip
+        raise FileError(
+            f"bag {bag} has the path in frame '{frame}' and the odometry in '{own}', and {why}: "
+            "they cannot be compared; record /tf and /tf_static, too"
+        )
+    partly = "" if moved[1] == 1.0 else f", which is known for {100.0 * moved[1]:.1f} % of it"
+    notes.append(f"the odometry was brought from frame '{own}' to '{frame}' by /tf{partly}")
+    return moved[0]
