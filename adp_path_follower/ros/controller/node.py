@@ -41,31 +41,31 @@ _MOST_SILENCE = 0.5  # [s] beyond a period of the control timer, however long od
 
 
 class PathFollowerNode(Ending, LifecycleNode):
-    """Orchestrate: messages to `PathFollower`, `Supervisor` and back."""
+    """Connects messages with `Driver` and `Supervisor`; `settings` and `status` are public."""
 
     def __init__(self, fit: Fit = route_of_message) -> None:
         """Declare the parameters; `fit` makes routes of paths, in another thread."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         defend_services(self)
-        self._settings = declare_settings(self, Settings)
-        LiveSettings(self, self._settings, self._prepare_settings)
-        self._weights = WeightsFiles(self, self._settings, lambda: self._driver)
+        self.settings = declare_settings(self, Settings)
+        LiveSettings(self, self.settings, self._prepare_settings)
+        self._weights = WeightsFiles(self, self.settings, lambda: self._driver)
         self._fit = fit
         self._parts: ControllerParts | None = None
-        self._supervisor = Supervisor(self._settings.controller.odom_timeout)
+        self._supervisor = Supervisor(self.settings.controller.odom_timeout)
         self._forget_run()
-        if self._settings.controller.autostart:
+        if self.settings.controller.autostart:
             self.trigger_configure()
             self.trigger_activate()
 
     def _forget_run(self) -> None:
         """Return to the state before any message."""
         told, log = start_teller(self.get_logger()), self.get_logger()
-        self._driver = Driver(self._settings, self._weights.saved, log.warning, tell_start=told)
+        self._driver = Driver(self.settings, self._weights.saved, log.warning, tell_start=told)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
         self._clock_time = 0
-        self._shown = self._told = Status(State.INACTIVE)
+        self.status = self._told = Status(State.INACTIVE)
         self._told_until = 0.0
         self._shown_since = 0
         self._next_diagnostics = 0.0
@@ -81,17 +81,17 @@ class PathFollowerNode(Ending, LifecycleNode):
     @told_if_it_fails
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Create publishers, subscriptions, services and timers."""
-        controller = self._settings.controller
+        controller = self.settings.controller
         lossless = controller.control_trigger == "odometry"
-        labels = self._settings.learning.value_basis.labels
+        labels = self.settings.learning.value_basis.labels
         self._parts = ControllerParts(
             Commands(self, controller.enable_stamped_cmd_vel, lossless, self._most_silence),
-            Telemetry(self, labels, lossless, lambda: self._settings.controller),
-            OdometryInput(self, lambda: self._settings, self._take_odometry, self._refuse_odometry),
+            Telemetry(self, labels, lossless, lambda: self.settings.controller),
+            OdometryInput(self, lambda: self.settings, self._take_odometry, self._refuse_odometry),
             PathInput(
-                self, lambda: self._settings.path, self._follow_path, self._refuse_path, self._fit
+                self, lambda: self.settings.path, self._follow_path, self._refuse_path, self._fit
             ),
-            SpeedLimitInput(self, lambda: self._settings, self._answer_speed_limit),
+            SpeedLimitInput(self, lambda: self.settings, self._answer_speed_limit),
             Watchdog(self, self._watch),
             self._weights.entities(),
         )
@@ -165,7 +165,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         parts = self._configured
         parts.commands.frame = measurement.child_frame
         parts.path.odometry_in(measurement.frame)
-        if self._settings.controller.control_trigger == "odometry":
+        if self.settings.controller.control_trigger == "odometry":
             self._control(measurement.stamp)
 
     def _follow_path(self, found: PathAnswer | None) -> None:
@@ -201,7 +201,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
         def take_over() -> None:
             self._driver.take_over(change)
-            self._settings = settings
+            self.settings = settings
             self._supervisor.odom_timeout = settings.controller.odom_timeout
             self._publish_configuration()
 
@@ -251,7 +251,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         if time == self._step_time:  # the same odometry again: so is the answer
             parts.commands.send(self._last_command, time)
             return
-        problem = stamp_problem(time, measurement.stamp, self._settings.controller)
+        problem = stamp_problem(time, measurement.stamp, self.settings.controller)
         if problem:
             self._refuse_command(problem)
             return
@@ -266,7 +266,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._refuse_command(problem)
             return
         self._last_command, self._step_time = output.command, time
-        too_far = deviation(output.error, self._settings.controller)
+        too_far = deviation(output.error, self.settings.controller)
         if too_far:
             self._supervisor.deviated(too_far)
             self._update_status()
@@ -304,7 +304,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _most_silence(self) -> float:
         """Return how long the robot may go on with one command [s]."""
-        controller = self._settings.controller
+        controller = self.settings.controller
         if controller.control_trigger == "odometry":
             return controller.odom_timeout
         return min(controller.odom_timeout, 1.0 / controller.controller_frequency + _MOST_SILENCE)
@@ -319,7 +319,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         parts = self._configured
         parts.path.retry()
         clock_time = self._now()
-        by_timer = self._settings.controller.control_trigger == "timer"
+        by_timer = self.settings.controller.control_trigger == "timer"
         self._supervisor.clock_missing(by_timer and clock_time == 0)
         if clock_time < self._clock_time and by_timer:
             self._supervisor.command_refused("the clock went back")
@@ -335,7 +335,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Return the status; tell the robot to stop, and the user, as soon as it changes."""
         now = steady.monotonic()
         status = self._supervisor.status(now)
-        if status != self._shown:
+        if status != self.status:
             self._change_status(status)
         same_state = status.state is self._told.state
         # A cause that changes with every message is told once a second.
@@ -347,12 +347,12 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _change_status(self, status: Status) -> None:
         if self._parts is not None:
             self._parts.watchdog.hurry()
-        if self._shown.state is State.FOLLOWING and self._supervisor.active:
+        if self.status.state is State.FOLLOWING and self._supervisor.active:
             self._configured.commands.stop()
             self._note_stop()
-        if status.state is not self._shown.state:
+        if status.state is not self.status.state:
             self._shown_since = self._now()
-        self._shown = status
+        self.status = status
 
     def _tell_status(self, status: Status) -> None:
         text = ": ".join(filter(None, [status.state.value, status.cause]))
@@ -379,7 +379,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             values["arc_length [m]"] = f"{float(self._driver.follower.arc_length):.3f}"
             values["cost"] = f"{float(self._driver.follower.cost):.6g}"
         self._parts.telemetry.diagnostics(
-            self._now(), self._shown, self._shown_since, self._parts.path.problem, values
+            self._now(), self.status, self._shown_since, self._parts.path.problem, values
         )
 
     def _publish_configuration(self) -> None:

@@ -52,7 +52,7 @@ class Spied(PathFollowerNode):
 
     def begin(self, **parameters):
         """Forget what was, and begin a run with these parameters."""
-        values = {**flatten(self._settings), **parameters}
+        values = {**flatten(self.settings), **parameters}
         self._forget_run()
         self._supervisor.resume()
         odometry, path, commands = self._parts.odometry, self._parts.path, self._parts.commands
@@ -81,8 +81,8 @@ class Spied(PathFollowerNode):
     def sent(self, command, time):
         """Look at a command that is to be published, and at the one before."""
         assert np.isfinite(command).all(), command
-        limits, motion = self._settings.limits, self._settings.motion
-        before, period = np.zeros(2), 1.0 / self._settings.controller.controller_frequency
+        limits, motion = self.settings.limits, self.settings.motion
+        before, period = np.zeros(2), 1.0 / self.settings.controller.controller_frequency
         if self.told is not None:
             before, elapsed = self.told[0], 1e-9 * (time - self.told[1])
             period = min(elapsed, 0.1) if elapsed > 1e-6 else period
@@ -152,7 +152,7 @@ def is_good_again(node, first_step, pose=(0.0, 0.1, 0.0)):
     """Return whether the node follows when sound odometry comes for a while."""
     for step in range(first_step, first_step + 5):
         node.take(good_odometry(step, pose))
-    assert node.state is State.FOLLOWING, node._shown  # which says why not
+    assert node.state is State.FOLLOWING, node.status  # which says why not
     return True
 
 
@@ -188,7 +188,7 @@ def test_bytes_that_are_no_odometry_stop_the_robot(node, cut, place, value):
         node.take(good_odometry(step))
     raw = bytearray(serialize_message(good_odometry(3)))
     node.take_bytes(bytes(raw[: cut % len(raw)]))
-    assert "odometry cannot be read" in node._shown.cause
+    assert "odometry cannot be read" in node.status.cause
     assert not node.commands[-1].any()
     assert is_good_again(node, 3)
     raw[place % len(raw)] = value
@@ -328,13 +328,13 @@ def test_any_parameters_while_driving(node, sets, bad):
     step = itertools.count()
     node.take(good_odometry(next(step)))
     for values in (*sets, bad):
-        before = node._settings
+        before = node.settings
         (result,) = node.change(values) or [None]
         if result is not None and not result.successful:
             assert result.reason
             assert "\n" not in result.reason
-            assert node._settings == before
-        assert lists(present(node)) == as_ros_has(node._settings)
+            assert node.settings == before
+        assert lists(present(node)) == as_ros_has(node.settings)
         for _ in range(2):
             node.take(good_odometry(next(step)))
 
@@ -343,10 +343,10 @@ def test_a_change_that_another_callback_refuses_changes_nothing(node):
     node.begin(**START)
     node.take(LINE)
     node.take(good_odometry(0))
-    before = node._settings
+    before = node.settings
     (result,) = node.change({"desired_speed": 0.3, "use_sim_time": "yes"})
     assert not result.successful
-    assert node._settings == before
+    assert node.settings == before
     assert node.get_parameter("desired_speed").value == before.target.desired_speed
 
 
