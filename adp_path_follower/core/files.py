@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import math
 import os
 import re
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ import yaml
 
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
+
+_UNITS = {"": 1.0, "m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "rad": 1.0, "deg": math.pi / 180}
 
 
 class _TwiceError(yaml.constructor.ConstructorError):
@@ -110,37 +113,65 @@ def parse_yaml(text: str) -> object:
         raise yaml.YAMLError(str(error)) from None
 
 
-def read_csv_columns(file: FilePath, columns: tuple[str, ...]) -> FloatArray:
-    """Return named columns of a CSV file, shape (rows, columns).
+def read_csv_columns(
+    file: FilePath, columns: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> FloatArray:
+    """Return named columns of a CSV file in SI units, shape (rows, columns).
 
-    Raises FileError if the file is missing or empty, lacks a column, or holds something that is not
-    a number; the message names the line.
+    Names may have a unit, as in x_m or "y [mm]". The header may begin with #, as comments before it
+    and below do; if it has semicolons, they separate. One more column is the first of the optional
+    ones that the file has, NaN without. Raises FileError if the file is missing or empty, lacks a
+    column, or holds something that is not a number; the message names the line.
     """
-    try:
-        rows = list(csv.reader(read_text(file).splitlines()))
-    except csv.Error as error:
-        raise FileError(f"file {file} is not CSV: {error}") from None
-    header = [name.strip().lower() for name in rows[0]] if rows else []
+    lines = read_text(file).splitlines()
+    number = 0
+    while number < len(lines) - 1 and lines[number].lstrip().startswith("#"):
+        if set(columns) <= _csv_header(lines[number]).keys():
+            break
+        number += 1
+    separator, header = (";" if ";" in lines[number] else ","), _csv_header(lines[number])
     missing = [name for name in columns if name not in header]
     if missing:
         raise FileError(
             f"file {file} has no column '{missing[0]}': its first line must name "
             f"{','.join(columns)}"
         )
-    places = [header.index(name) for name in columns]
+    chosen = [*columns, *[name for name in optional if name in header][:1]]
+    try:
+        rows = list(csv.reader(lines[number + 1 :], delimiter=separator))
+    except csv.Error as error:
+        raise FileError(f"file {file} is not CSV: {error}") from None
     values = []
-    for number, row in enumerate(rows[1:], start=2):
-        if not row:
+    for line, row in enumerate(rows, start=number + 2):
+        if not row or row[0].lstrip().startswith("#"):
             continue
         try:
-            values.append([float(row[place]) for place in places])
+            values.append([float(row[header[name][0]]) * header[name][1] for name in chosen])
         except (IndexError, ValueError):
             raise FileError(
-                f"file {file}, line {number}: '{','.join(row)[:60]}' is not {len(columns)} numbers"
+                f"file {file}, line {line}: '{separator.join(row)[:60]}' is not {len(chosen)} "
+                "numbers"
             ) from None
     if not values:
         raise FileError(f"file {file} has no rows below its header")
-    return np.array(values)
+    found = np.array(values)
+    if optional and len(chosen) == len(columns):
+        found = np.column_stack([found, np.full(len(found), np.nan)])
+    return found
+
+
+def _csv_header(line: str) -> dict[str, tuple[int, float]]:
+    """Return place and factor to SI units of each column that a header names."""
+    found: dict[str, tuple[int, float]] = {}
+    names = re.split(";" if ";" in line else ",", line.strip().lstrip("#").lower())
+    for place, text in enumerate(names):
+        name, _, unit = re.sub(r"[\[\]()]", " ", text.strip().strip('"')).strip().rpartition(" ")
+        if not name:
+            name, _, unit = unit.rpartition("_")
+        if unit not in _UNITS:
+            name, unit = text.strip().strip('"'), ""
+        found.setdefault(name.strip(" _"), (place, _UNITS[unit]))
+    return found
 
 
 def read_yaml(file: FilePath) -> object:

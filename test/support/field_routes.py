@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from adp_path_follower.core.path.library import read_points
+from adp_path_follower.core.path.library import read_poses
 from adp_path_follower.core.path.preparation import prepare
 from adp_path_follower.core.settings.groups import PathSettings
 from folders import CASES
@@ -17,8 +17,8 @@ OPEN = PathSettings(path_closed="open")
 
 def case(name, settings=None):
     """Return the route of an input from the field."""
-    points, closed = read_points(CASES / name)
-    return prepare(points, settings or PathSettings(), closed=closed)
+    poses, closed = read_poses(CASES / name)
+    return prepare(poses[:, :2], settings or PathSettings(), poses[:, 2], closed)
 
 
 def laps(count, radius, noise, random):

@@ -14,6 +14,7 @@ from adp_path_follower.core.driving.arrival import Standstill
 from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.counts import Counts
 from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.driving.turning import turning_command
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.learning.weights_file import SavedWeights
@@ -86,6 +87,8 @@ class Driver:
         self._learned: PathFollower | None = None  # the follower of the path before
         self._output: FollowerOutput | None = None  # of the last step on the segment
         self._standstill: Standstill | None = None  # between segments
+        self._turn: float | None = None  # [rad]: the heading of a turn on the spot
+        self._faces_goal = False  # after the turn at the end of the route
         self._to_learn = False  # from the last step
 
     @property
@@ -104,7 +107,8 @@ class Driver:
     @property
     def at_goal(self) -> bool:
         """Return whether the robot is at the end of an open route."""
-        return self._at_segment_end and self._on_last_segment
+        turned = self._faces_goal or self.route is None or self.route.goal_heading is None
+        return self._at_segment_end and self._on_last_segment and turned
 
     @property
     def _at_segment_end(self) -> bool:
@@ -137,6 +141,7 @@ class Driver:
             self._left = Left(self.route, place, self._pose, self.at_goal)
             self._learned = self._follower
         self._follower, self._segment, self._standstill = None, 0, None
+        self._turn, self._faces_goal = None, False
 
     def change_settings(self, settings: Settings) -> None:
         """Go on with other settings.
@@ -245,17 +250,41 @@ class Driver:
         self._pose = pose
         if self._follower is None:
             self._begin(pose)
-        elif self._at_segment_end and not self._on_last_segment:
+        elif self._at_segment_end and not self.at_goal and self._turn is None:
             self._standstill = self._standstill or Standstill()
             if not self._standstill.reached(pose, time):
                 return self._resting(pose)
-            self._learned, self._standstill = self._follower, None
-            self._begin_segment(self._segment + 1, 0.0)
+            self._standstill = None
+            if self._on_last_segment:
+                self._turn = self.route.goal_heading if self.route else None
+            else:
+                self._learned = self._follower
+                self._begin_segment(self._segment + 1, 0.0)
+        if self._turn is not None:
+            turning = self._turning(self._turn, pose, time)
+            if turning is not None:
+                return turning
         assert self._follower is not None  # one has just begun, if there was none
         facing = self._present.heading_of_path(pose)
         self._output = self._follower.step_at(facing, time, learn=False)
         self._to_learn = True
         return self._own(self._output)
+
+    def _turning(self, heading: float, pose: FloatArray, time: int) -> FollowerOutput | None:
+        """Return the output of a turn on the spot to a heading, None when driving begins."""
+        assert self._follower is not None  # one has begun
+        if self._output is None:  # before the first step on the segment
+            facing = self._present.heading_of_path(pose)
+            self._output = self._follower.step_at(facing, time, learn=False)
+            self._follower.hold()
+        command = turning_command(heading, pose, time, self._actuation, self.settings)
+        if command is not None:
+            return self._standing(pose, command)
+        self._turn = None
+        if not self._at_segment_end:
+            return None
+        self._faces_goal = True
+        return self._resting(pose)
 
     def _own(self, output: FollowerOutput) -> FollowerOutput:
         """Return an output in the real robot's terms, if its follower's faces the other way.
@@ -276,18 +305,20 @@ class Driver:
 
     def _resting(self, pose: FloatArray) -> FollowerOutput:
         """Return zero velocity for a robot (3,) at the end of a segment, and how far it is off."""
-        last = self._output
-        assert last is not None  # the target has come to the end by a step
         if not self._actuation.stopped:
             self._actuation.stop()
-        facing = self._present.heading_of_path(pose)
+        return self._standing(pose, np.zeros(2))
+
+    def _standing(self, pose: FloatArray, command: FloatArray) -> FollowerOutput:
+        """Return a command [0, w] and its error at a pose (3,), without heading while it turns."""
+        last = self._output
+        assert last is not None  # there was a step on the segment
+        error = tracking_error(self._present.heading_of_path(pose), last.target_pose)
+        if self._turn is not None or self._faces_goal:
+            error = error * np.array([1.0, 1.0, 0.0])
+        turned = last.modified_input - last.command + command
         return self._own(
-            dataclasses.replace(
-                last,
-                command=np.zeros(2),
-                modified_input=last.modified_input - last.command,
-                error=tracking_error(facing, last.target_pose),
-            )
+            dataclasses.replace(last, command=command, modified_input=turned, error=error)
         )
 
     def _of_segment(self, settings: Settings) -> Settings:
@@ -327,4 +358,6 @@ class Driver:
                 )
         if self._learned is not None:
             follower.take_over(self._learned)
-        self._follower, self._learned = follower, None
+        self._follower, self._learned, self._output = follower, None, None
+        if segment.turn_first and arc_length <= NOISE:
+            self._turn = float(segment.heading_of_path(segment.path.frame(0.0).pose)[2])

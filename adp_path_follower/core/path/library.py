@@ -22,6 +22,7 @@ PATH_HELP = (
     "lissajous (the paper's figure eight), line, circle:KAPPA (curvature in 1/m, positive to the "
     "left), or a file: CSV with columns x,y or YAML with 'points: [[x, y], ...]'"
 )
+_HEADINGS = ("th", "theta", "yaw", "heading")  # columns of which a file may have one
 _LINE_LENGTH = 100.0  # [m]
 
 
@@ -109,20 +110,25 @@ def path_through(
 def named_points(name: str, spacing: float) -> FloatArray:
     """Return poses to publish for a name: x, y, heading, shape (N, 3).
 
-    Those of a built-in path are at most `spacing` [m] apart. Those of a file are its points,
-    without headings (NaN): the follower rounds their corners. Raises PathError for an unknown name
+    Those of a built-in path are at most `spacing` [m] apart. Those of a file are its points, with
+    headings if it has some, else NaN: the follower rounds their corners. The last pose comes twice
+    if the file says `closed: false`. Raises PathError for an unknown name
     or points that make no path, FileError for a file that is missing or of another format.
     """
     if not is_path_file(name):
         return named_path(name).points(spacing)
     file = expanded(name)
-    points, closed = read_points(file)
+    poses, closed = read_poses(file)
     try:
-        distinct, _ = distinct_points(points)
+        distinct, kept = distinct_points(poses[:, :2] if poses.ndim == 2 else poses)
         distinct, _ = joined(distinct, closed)
     except PathError as error:
         raise PathError(f"path file {file}: {error}") from None
-    return np.column_stack([distinct, np.full(len(distinct), np.nan)])
+    if closed is None and np.isfinite(poses[:, 2:]).any():
+        return poses  # several in one place are a turn on the spot
+    headings = poses[np.append(kept, kept[:1])[: len(distinct)], 2]
+    found = np.column_stack([distinct, headings])
+    return found if closed is not False else np.vstack([found, found[-1:]])
 
 
 def is_path_file(name: str) -> bool:
@@ -131,12 +137,18 @@ def is_path_file(name: str) -> bool:
 
 
 def read_points(file: FilePath) -> tuple[FloatArray, bool | None]:
-    """Return the points of a path file, shape (N, 2), and whether it says that it is closed.
+    """Return the points (N, 2) of a path file, and whether it says that it is closed."""
+    poses, closed = read_poses(file)
+    return poses[:, :2] if poses.ndim == 2 else poses, closed
 
-    Raises FileError if it is missing or of another format.
+
+def read_poses(file: FilePath) -> tuple[FloatArray, bool | None]:
+    """Return the poses of a path file, shape (N, 3), and whether it says that it is closed.
+
+    Headings are NaN where it has none. Raises FileError if it is missing or of another format.
     """
     if file.suffix.lower() == ".csv":
-        return read_csv_columns(file, ("x", "y")), None
+        return read_csv_columns(file, ("x", "y"), _HEADINGS), None
     content = read_yaml(file)
     if not isinstance(content, dict) or "points" not in content:
         raise FileError(f"path file {file} has no 'points: [[x, y], ...]'")
@@ -147,4 +159,6 @@ def read_points(file: FilePath) -> tuple[FloatArray, bool | None]:
         points = np.asarray(content["points"], dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise FileError(f"path file {file} has 'points' that are not [x, y] pairs") from None
-    return points[:, :2] if points.ndim == 2 else points, closed
+    if points.ndim != 2 or points.shape[1] < 2:
+        return points, closed
+    return np.column_stack([points[:, :2], np.full(len(points), np.nan)]), closed

@@ -3,18 +3,19 @@
 Where the spline through the points is fair, and stays within `path_tolerance` of their polyline,
 it is the path. Otherwise the polyline is smoothed within the tolerance (`smoothing`). Where the
 motion turns by more than 135 degrees within the tolerance (a cusp), and where the orientations say
-that the robot changes between driving forwards and backwards, the route is cut.
+that the robot changes between driving forwards and backwards, the route is cut. So it is at poses
+in one place with different orientations: there the robot turns on the spot.
 """
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core.errors import PathError
-from adp_path_follower.core.geometry import FloatArray, contiguous
+from adp_path_follower.core.geometry import FloatArray, contiguous, wrap_angle
 from adp_path_follower.core.path.curve import Path, TurningBackError
 from adp_path_follower.core.path.points import chord_spline, distinct_points, joined
 from adp_path_follower.core.path.route import Route, Segment
@@ -24,6 +25,8 @@ from adp_path_follower.core.settings.groups import PathSettings
 _CUSP = math.cos(math.radians(135.0))  # of the turn from which on the motion is cut
 _SHORT = 1.5  # times the tolerance: a chord that may hide the tip of a cusp
 _DECIDED = 0.5  # cosine between orientation and motion from which on it says forwards, or backwards
+_TURN = 0.2  # [rad] between poses in one place from which on the robot turns on the spot
+_ALIGNED = 0.05  # [rad] between the last pose and the path's end that is no turn at the goal
 _SAID = {"auto": None, "open": False, "closed": True}
 
 
@@ -64,23 +67,72 @@ def prepare(
 
     """
     positions, index = distinct_points(points)
-    poses = _Poses(positions, _useful_headings(headings, len(np.asarray(points)), index), index)
+    given = _given_headings(headings, len(np.asarray(points)))
+    useful = None if given is None or not _is_oriented(given) else given
+    poses = _Poses(positions, None if useful is None else useful[index], index)
     said = _SAID[settings.path_closed] if closed is None else closed
+    ends = np.append(index[1:], len(np.asarray(points))) - 1  # the last pose in each place
+    if said is None and ends[-1] > index[-1]:
+        said = False  # its last pose comes twice
+    turns = []
+    if useful is not None:
+        turned = wrap_angle(useful[ends] - useful[index])
+        turns = np.flatnonzero(np.abs(turned) > _TURN).tolist()
+    if turns and useful is not None:
+        route = _turning_route(poses, useful[ends], turns, said, settings)
+    else:
+        route = _route(poses, said, settings)
+    return replace(route, goal_heading=_goal_heading(given, route, settings))
+
+
+def _turning_route(
+    poses: _Poses, after: FloatArray, turns: list[int], said: bool | None, settings: PathSettings
+) -> Route:
+    """Return the route of poses with turns on the spot, after which headings (N,) are those."""
+    if said:
+        raise PathError(
+            f"path is said to be closed, but turns on the spot at {poses.place(turns[0])}: a "
+            "closed path cannot; leave path_closed at auto"
+        )
+    segments: list[Segment] = []
+    for start, stop in itertools.pairwise(sorted({0, *turns, len(poses.points) - 1})):
+        assert poses.headings is not None  # else there are no turns
+        headings = np.append(after[start], poses.headings[start + 1 : stop + 1])
+        rows = slice(start, stop + 1)
+        part = _Poses(poses.points[rows], headings, poses.index[rows])
+        first, *rest = _route(part, False, settings).segments
+        segments += [replace(first, turn_first=start in turns), *rest]
+    return Route(tuple(segments))
+
+
+def _goal_heading(
+    headings: FloatArray | None, route: Route, settings: PathSettings
+) -> float | None:
+    """Return the heading [rad] of the last pose, None if the robot has it, or there is none."""
+    if headings is None or route.closed or not settings.turn_at_goal:
+        return None
+    wanted, segment = float(headings[-1]), route.segments[-1]
+    if not (_is_oriented(headings) or wanted):
+        return None
+    end = segment.heading_of_path(segment.path.frame(segment.path.length).pose)
+    return wanted if abs(float(wrap_angle(wanted - end[2]))) > _ALIGNED else None
+
+
+def _route(poses: _Poses, said: bool | None, settings: PathSettings) -> Route:
+    """Return the route of poses without turns on the spot."""
     if settings.path_tolerance == 0.0 and not settings.allow_reversing:
-        return Route((Segment(Path.from_points(points, said)),))
+        return Route((Segment(Path.from_points(poses.points, said)),))
     unfit = None
     if not _against_motion(poses).any():
-        unfit = _interpolation(positions, said)
+        unfit = _interpolation(poses.points, said)
         path = _exact(unfit, settings.path_tolerance)
         if path is not None:
             return Route((Segment(path),))
     return _cut_route(poses, said, settings, unfit)
 
 
-def _useful_headings(
-    headings: ArrayLike | None, count: int, index: np.ndarray
-) -> FloatArray | None:
-    """Return the headings of distinct points, None if there are none."""
+def _given_headings(headings: ArrayLike | None, count: int) -> FloatArray | None:
+    """Return the headings of poses, NaN for one that has none, or None for all."""
     if headings is None:
         return None
     try:
@@ -89,11 +141,13 @@ def _useful_headings(
         raise PathError("path has headings that are not numbers") from None
     if array.shape != (count,):
         raise PathError(f"path has headings of shape {array.shape}, but must have {count} of them")
-    array = np.where(np.isfinite(array), array, np.nan)
-    inner = array[1:-1] if count > 2 else array
-    if not np.nan_to_num(inner).any() or np.isnan(array).all():
-        return None
-    return np.asarray(array[index])
+    return np.where(np.isfinite(array), array, np.nan)
+
+
+def _is_oriented(headings: FloatArray) -> bool:
+    """Return whether headings (N,) are more than zeros, or those of both ends."""
+    inner = headings[1:-1] if len(headings) > 2 else headings
+    return bool(np.nan_to_num(inner).any())
 
 
 def _against_motion(poses: _Poses) -> np.ndarray:
@@ -156,13 +210,15 @@ def _cut_route(
             "cannot; leave path_closed at auto"
         )
     bounds = [0, *tips, len(poses.points) - 1]
-    segments = []
+    segments: list[Segment] = []
     for number, (start, stop) in enumerate(itertools.pairwise(bounds)):
         if stop <= start:
             continue
         part = _Poses(poses.points[start : stop + 1], None, poses.index[start : stop + 1])
         direction = directions[0 if number == 0 else cuts[number - 1]]
-        segments.append(Segment(_fitted(part, False, tolerance), bool(direction < 0)))
+        reverse = bool(direction < 0)
+        turns = bool(segments) and segments[-1].reverse is reverse
+        segments.append(Segment(_fitted(part, False, tolerance), reverse, turns))
     return Route(tuple(segments))
 
 

@@ -17,6 +17,7 @@ class Segment:
 
     path: Path  # the path, in the direction of motion
     reverse: bool = False  # whether the robot drives along it backwards
+    turn_first: bool = False  # whether it turns on the spot to its beginning
 
     def heading_of_path(self, pose: FloatArray) -> FloatArray:
         """Return a robot's pose (3,) with the heading that it moves to: turned by pi in reverse."""
@@ -31,6 +32,7 @@ class Route:
     """
 
     segments: tuple[Segment, ...]
+    goal_heading: float | None = None  # [rad] that the robot turns to at the end, None: it does not
 
     @property
     def length(self) -> float:
@@ -44,8 +46,13 @@ class Route:
 
     def digest(self) -> str:
         """Return a hash: equal digests are equal routes. That of one path forwards is its own."""
-        parts = [segment.path.digest() + "r" * segment.reverse for segment in self.segments]
-        if len(parts) == 1 and not self.segments[0].reverse:
+        parts = [
+            segment.path.digest() + "r" * segment.reverse + "t" * segment.turn_first
+            for segment in self.segments
+        ]
+        if self.goal_heading is not None:
+            parts.append(repr(self.goal_heading))
+        if parts == [self.segments[0].path.digest()]:
             return parts[0]
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
 

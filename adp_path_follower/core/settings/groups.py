@@ -227,6 +227,12 @@ class PathSettings:
         "from the next path on.",
         choices=("auto", "open", "closed"),
     )
+    turn_at_goal: bool = setting(
+        True,
+        "Turn on the spot at the end of an open path to the heading of its last pose, within "
+        "yaw_goal_tolerance. Poses without orientations, or only with the identity, ask for no "
+        "turn. Holds from the next path on.",
+    )
     allow_reversing: bool = setting(
         False,
         "Drive backwards where a path turns back on itself, or where the orientations of its poses "

@@ -56,6 +56,11 @@ class PathAnswer:
         parts = ["closed" if self.route.closed else "open", f"{self.route.length:.2f} m"]
         if backwards or len(self.route.segments) > 1:
             parts.append(f"{len(self.route.segments)} segments, {backwards} of them in reverse")
+        turns = sum(segment.turn_first for segment in self.route.segments)
+        if turns:
+            parts.append(f"{turns} turned to on the spot")
+        if self.route.goal_heading is not None:
+            parts.append(f"to heading {self.route.goal_heading:.2f} rad at the end")
         return f"{', '.join(parts)}, in frame '{self.followed_frame}'"
 
 

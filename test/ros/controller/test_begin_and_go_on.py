@@ -58,6 +58,42 @@ def test_all_of_a_path_is_driven(peer, start, name, paths, behind, turn):
     assert np.hypot(*np.diff(way_of(odometry), axis=0).T).sum() > route.length - 0.3
 
 
+@pytest.mark.parametrize(
+    ("name", "told", "end", "heading"),
+    [
+        ("turn_on_the_spot.csv", "1 turned to on the spot", 0.0, math.pi),
+        ("goal_yaw.csv", "to heading 2.00 rad at the end", 1.0, 2.0),
+    ],
+)
+def test_turns_on_the_spot_are_driven_as_such(peer, start, name, told, end, heading):
+    odometry = peer.listen(Odometry, "odom", 10_000)
+    reversing = {"allow_reversing": True, "min_linear_vel": -0.3}
+    controller = start("controller", learning=False, **reversing, **LOCKSTEP)
+    start("sim_unicycle", lockstep=True, rate=25.0)
+    peer.until_matched(peer.path)
+    start("path_publisher", path=str(CASES / name))
+    peer.until(lambda: "goal reached" in controller.output(), "the goal")
+    assert told in controller.output()
+
+    def is_there() -> bool:
+        rotation = odometry[-1].pose.pose.orientation
+        turn = 2.0 * math.atan2(rotation.z, rotation.w) - heading
+        near = abs(way_of(odometry[-1:])[0, 0] - end) < 0.06
+        return near and abs(math.remainder(turn, math.tau)) < 0.1
+
+    peer.until(is_there, "odometry of the end")
+    assert min(item.twist.twist.linear.x for item in odometry) >= 0.0
+    assert way_of(odometry)[:, 0].max() == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("loop_closed_false.yaml", "open, 3.77 m")])
+def test_a_file_that_says_that_it_is_open_is_open(peer, start, name, kind):
+    controller = start("controller")
+    start("path_publisher", path=str(CASES / name))
+    peer.until(lambda: "new path" in controller.output(), "the path")
+    assert f"new path: {kind}" in controller.output()
+
+
 def test_a_stopped_robot_goes_on_where_it_stopped_and_replays(peer, start, tmp_path):
     odometry = peer.listen(Odometry, "odom", 10_000)
     controller = start(
