@@ -176,6 +176,7 @@ def _near(route: Route, pose: FloatArray, last: Place, reach: float) -> tuple[Pl
     samples = path.samples
     pieces = len(samples.arc_length) - 1
     step = path.length / pieces
+    reach = min(reach, path.length)  # all of it, however far the robot was carried
     first, last_one = (round((last.arc_length + end) / step) for end in (-reach, reach))
     around = np.arange(first, last_one + 1)
     around = around if path.closed else np.unique(np.clip(around, 0, pieces))
