@@ -35,6 +35,7 @@ class Request:
         found = {**vars(self.conditions.run), **vars(self.conditions), **vars(self)}
         for name in ("conditions", "run", "objectives"):  # those give the others; these only judge
             del found[name]
+        found["varied"] = found.pop("variations")
         return {name: _text(value) for name, value in found.items()}
 
     @property

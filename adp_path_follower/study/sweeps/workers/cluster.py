@@ -208,7 +208,7 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
         yield check
         return
 
-    def warn(unraisable: sys.UnraisableHookArgs) -> None:
+    def warn(unraisable: "sys.UnraisableHookArgs") -> None:
         if unraisable.exc_type is not KeyboardInterrupt:
             usual_warning(unraisable)
 
