@@ -43,7 +43,7 @@ class BagAnalysis:
         topics: Topic -> number of messages.
         used: The role of a topic -> the topic.
         notes: Sentences about data that could not be used.
-        trust: What the numbers are made of.
+        trust: Causes and limits of the numbers.
 
     """
 

@@ -67,7 +67,7 @@ def followed_routes(
     if path is not None:
         found = [(0, route_along(path), "")]
     else:
-        # What our own controller says that it followed is in the odometry's frame.
+        # Our own controller names its path in the odometry's frame.
         found = [(time, route, "") for time, route in RecordedRoutes(run).in_force()]
         found = found or _recorded(bag, run, notes)
     times = np.array([time for time, _, _ in found], dtype=np.int64)

@@ -101,7 +101,7 @@ def _agrees(length: FloatArray, said: FloatArray) -> bool:
 def _jumps(length: FloatArray, chord: FloatArray, bend: FloatArray, said: FloatArray) -> np.ndarray:
     """Return which steps are longer than the robot can have driven, (N,)."""
     if np.isfinite(said).all():
-        # What is left of a step without the motion that the velocity explains.
+        # The rest of a step, without the motion that the velocity explains.
         rest = np.hypot(chord - said * bend, np.sqrt(np.maximum(length**2 - chord**2, 0.0)))
         spread = float(np.median(rest[1:])) if len(rest) > 1 else 0.0
         return np.asarray(rest > _LEAST_JUMP + np.abs(said) + _JUMP_SPREAD * spread)

@@ -79,7 +79,7 @@ def timeline(series: Series, name: str, clock: Clock | None = None) -> Timeline:
 
     Args:
         series: The messages in order of arrival.
-        name: Of the topic, for notes.
+        name: The topic's name, for notes.
         clock: That of the odometry; None for the odometry itself.
 
     """

@@ -20,7 +20,7 @@ _NEED_NOTHING = ("messages", "time_in_state.", "duration")
 
 @dataclass(frozen=True)
 class Trust:
-    """What the numbers of a run are made of; page, terminal and metrics.json say the same."""
+    """The data behind the numbers of a run; page, terminal and metrics.json say the same."""
 
     odometry_used: int  # messages that count, ...
     odometry_total: int  # ... and those in the bag

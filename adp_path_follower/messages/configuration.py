@@ -28,7 +28,7 @@ class Configuration:
         transform: x [m], y [m] and turn [rad] by which the path was brought from its own frame
             into the odometry's, empty where both are the same.
         after_step: Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
-        counts: What happened to the robot since the node's start.
+        counts: Resets, restarts and stops since the node's start.
         saved_weights: Digest of the weights file that it started from, empty without one.
 
     """

@@ -82,7 +82,7 @@ def drive_along(poses, path, rate=50, stamps=None, speed=0.5, frame="odom", path
         poses: x, y, theta at an even rate.
         path: Points of the path.
         rate: Rate [Hz].
-        stamps: Of odometry and commands [ns], (N,); those of arrival if None.
+        stamps: Stamps of odometry and commands [ns], (N,); those of arrival if None.
         speed: v [m/s] of odometry and commands, a number or one for each.
         frame: Frame of the odometry.
         path_frame: Frame of the path.

@@ -113,7 +113,7 @@ class NodeServer:
         """Start a node of the package, or a Python script, and return the process.
 
         Args:
-            arguments: What follows ``python -m adp_path_follower.ros.runtime.entry``.
+            arguments: The arguments of ``python -m adp_path_follower.ros.runtime.entry``.
             environment: The environment.
             log: File for what it prints.
             script: Python text to run instead of a node.

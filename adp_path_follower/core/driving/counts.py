@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Counts:
-    """What happened since the node's start."""
+    """How often a robot was interfered with since the node's start."""
 
     learning_resets: int = 0  # how often learning has been reset
     restarts: int = 0  # how often following has begun anew from where the robot was then

@@ -50,7 +50,7 @@ class Driver:
     Attributes:
         settings: All settings.
         route: The route to follow, None without one.
-        counts: What happened to it so far.
+        counts: Resets, restarts and stops so far.
         saved_weights: Weights of another run to start from, None without.
 
     """
@@ -69,7 +69,7 @@ class Driver:
             settings: All settings.
             saved_weights: Weights of another run to start from, on paths for which they hold.
             tell: Called with a sentence where they do not.
-            counts: What happened to the robot before.
+            counts: Resets, restarts and stops before.
             tell_start: Called with where following begins, and whether a part of the path is left
                 out.
 

@@ -1,4 +1,4 @@
-"""Updates the critic of one knot from its normal equations, or refuses to.
+"""Updates the critic of one knot from its normal equations, or rejects the result.
 
 With the matrix A and the vector b of the equations, least squares take Wc = -A^-1 b, and the
 gradient follows Wc' = -eta (A Wc + b) / N.

@@ -95,8 +95,8 @@ class KnotModel:
         self._lowest, self._highest = (
             bound[:, None] for bound in (self._limits.lower, self._limits.upper)
         )
-        # What regressors are combined of at each sample, (N, K, L): one product of small matrices a
-        # sample takes a third of the time that operations on whole arrays do.
+        # The terms of regressors at each sample, (N, K, L): one product of small matrices for each
+        # sample takes a third of the time of operations on whole arrays.
         self._terms = _terms(self.states, settings, spacing, varies)
         products = np.matmul(self._terms, np.swapaxes(self._terms, 1, 2))  # (N, K, K)
         kinds = 4 if varies else 2  # of the drift
@@ -176,7 +176,7 @@ def _quadratic(
 
 
 def _terms(states: FloatArray, settings: Settings, spacing: float, varies: bool) -> FloatArray:
-    """Return what regressors at states (N, 3) are combined of, shape (N, K, L).
+    """Return the terms of regressors at states (N, 3), shape (N, K, L).
 
     Both columns of sigma' g; sigma' f at kappa = 0, and its change with kappa; sigma s_p' / h.
     Where v_des varies, all but the first two at v_des = 0, each kind followed by its change with

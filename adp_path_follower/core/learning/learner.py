@@ -17,7 +17,7 @@ from adp_path_follower.core.settings.learning import LearningSettings
 
 @dataclass(frozen=True)
 class Observation:
-    """What a learner can know of the robots, besides its samples; it takes what it needs."""
+    """The robots' places and measurements, of which a learner takes those that it needs."""
 
     arc_length: FloatArray  # where their targets are [m], shape (...)
     # Returns the Bellman errors of the present weights at the measured states.
@@ -27,7 +27,7 @@ class Observation:
 
 
 class Evidence(Protocol):
-    """What the samples say of the weights."""
+    """How well the samples determine the weights."""
 
     @property
     def excitation(self) -> FloatArray | float:
@@ -43,7 +43,7 @@ class Learner(Protocol):
 
     @property
     def sampled(self) -> Evidence:
-        """Return what the samples say of the present weights."""
+        """Return how well the samples determine the present weights."""
 
     def local(self, arc_length: FloatArray) -> LocalWeights:
         """Return the weights at arc lengths [m] of shape (...)."""
@@ -55,13 +55,13 @@ class Learner(Protocol):
         """Learn with the robots at rest; return whether the weights settled."""
 
     def take_over(self, previous: Learner) -> None:
-        """Take over what another learner has learned, as far as it holds for this one."""
+        """Take over another learner's weights, as far as they hold for this one."""
 
     def learned(self) -> LearnedWeights:
-        """Return what was learned, to go on from in another run."""
+        """Return the learned weights, for another run to start from."""
 
     def start_from(self, learned: LearnedWeights) -> str:
-        """Go on from what another run has learned; return why it does not hold here, if so."""
+        """Start from the weights of another run; return why not, empty if it did."""
 
     def reset(self, where: np.ndarray | None = None) -> None:
         """Return to the initial weights, of the runs of a batch where (...) is true."""

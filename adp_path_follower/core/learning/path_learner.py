@@ -4,13 +4,13 @@ V(e, s_p) = w(s_p)^T sigma(e), with w linear between knots. The value function o
 
     0 = min_u e^T Q e + u^T R u + V_e (f + g u) + V_{s_p} s_p',
 
-in which a place of the path is told what comes by the place ahead of it. So the learner sweeps
-backwards, knot by knot, from the Riccati solution at the end of its preview to the robot, and
-begins again: at each knot the critic takes the weights with the least Bellman errors for the
-actor's policy, and the actor follows. One control step works off a fixed number of samples, so
-its time is bounded however many samples and knots there are. When all ahead is learned, the learner
-rests until the robot has come a few knots on. Until the first sweep over the whole preview, the
-samples of one step must do for a knot: rough weights at once are better than good ones late.
+so the value at a place depends on the value at the place ahead of it. The learner therefore sweeps
+backwards, knot by knot, from the Riccati solution at the end of its preview to the robot. At each
+knot the critic takes the weights with the least Bellman errors for the actor's policy, and the
+actor follows the critic. Then the next sweep begins. One control step uses a fixed number of
+samples, so its time is bounded. After a sweep over the whole preview the learner rests until the
+robot has passed a few knots. Before that, each knot uses the samples of one step only: rough
+weights at once are better than good ones late.
 
 Every robot has weights of its own, as its actor follows the critic while it is near. Robots that
 sweep the same knots share the sweep, at once or one after the other.
@@ -70,15 +70,10 @@ class PathLearner:
         profile: SpeedProfile | None = None,
         shape: tuple[int, ...] = (),
     ) -> None:
-        """Start from the initial weights of the settings everywhere.
+        """Start from the initial weights of the settings everywhere, for a batch of a shape.
 
-        Args:
-            settings: All settings.
-            path: The path.
-            riccati: The Riccati solution along it.
-            profile: The speed along it, by default that of the settings.
-            shape: Of the batch. Robots that do not learn may share the weights of shape ().
-
+        The speed profile is by default that of the settings. Robots that do not learn may share
+        the weights of shape ().
         """
         learning = settings.learning
         self._settings, self._learning, self._path = settings, learning, path
@@ -89,18 +84,18 @@ class PathLearner:
         self._window = self._knots.window
         self._model = KnotModel(settings, self._knots.spacing, self._profile.varies)
         self._critic = KnotCritic(learning, len(self._model), self._knots)
-        # What a sweep of least squares finds depends only on where it begins and ends: robots can
-        # share it, and need no other one soon. A gradient goes on from what it has found.
+        # The result of a least-squares sweep depends only on where it begins and ends: robots can
+        # share it, and need no other one soon. A gradient goes on from its last weights.
         self._shares = learning.critic == "least_squares"
         self._rest = self._window // _REST_SHARE if self._shares else 0  # [knots]
         self._sweeps: dict[tuple[int, int], Sweep] = {}  # by near and far
         self._start()
 
     def _start(self) -> None:
-        """Begin as somebody who has learned nothing."""
+        """Return to the state before any learning."""
         self._knots.reset()
-        # Of each robot: how far its next sweep reaches, growing to the window, as the knots where
-        # it is come first; whether it is on a sweep; from where all ahead of it was learned.
+        # For each robot: how far its next sweep reaches, which grows to the window because near
+        # knots come first; whether it is on a sweep; the knot from which all ahead was learned.
         self._reach = np.zeros(self._count, np.int64)
         self._busy = np.zeros(self._count, bool)
         self._learned_from = np.full(self._count, _NEVER)
@@ -135,7 +130,7 @@ class PathLearner:
 
     @property
     def sampled(self) -> SampleEvidence:
-        """Return what the samples said of each robot's latest knot."""
+        """Return how well the samples determined the weights of each robot's latest knot."""
         return self._sampled
 
     def local(self, arc_length: FloatArray) -> LocalWeights:
@@ -151,9 +146,9 @@ class PathLearner:
         return LocalWeights(Weights(critic, actor), slope)
 
     def learn(self, observation: Observation, dt: float) -> None:
-        """Let actors follow for dt [s], and work off some samples of the knots whose turn it is.
+        """Let actors follow for dt [s], and use some samples of the knots whose turn it is.
 
-        What holds at all samples holds at the measured state as well, so that is not asked for.
+        No measurement is needed: the samples cover the measured state too.
         """
         near, ahead = self._span(observation)
         self._begin(near, ahead)
@@ -172,12 +167,9 @@ class PathLearner:
         return behind.min(axis=0), behind.max(axis=0) + 1
 
     def _begin(self, near: np.ndarray, ahead: np.ndarray) -> None:
-        """Let robots begin sweeps that are neither on one nor resting.
+        """Begin sweeps down to knots `near` (B,) for robots that are neither on one nor resting.
 
-        Args:
-            near: The knots where their sweeps end, shape (B,).
-            ahead: The knots ahead of them, from which their reach counts, shape (B,).
-
+        Their reach counts from the knots `ahead` (B,).
         """
         resting = (near >= self._learned_from) & (near < self._learned_from + self._rest)
         idle = np.flatnonzero(~(self._busy | resting))
@@ -195,12 +187,7 @@ class PathLearner:
     def _together(
         self, robots: np.ndarray, near: np.ndarray, far: np.ndarray
     ) -> list[tuple[int, int, np.ndarray]]:
-        """Return which of the robots (n,) learn the same from knot `far` (B,) down to `near` (B,).
-
-        Returns:
-            `near`, `far` and indices of each group.
-
-        """
+        """Return `near`, `far` and indices of each group that learns the same between them."""
         found: dict[tuple[int, int, int], list[int]] = {}
         for robot in robots.tolist():
             # A gradient goes on from weights that are the same only before there are any.
@@ -228,7 +215,7 @@ class PathLearner:
             self._sweeps = {(sweep.near, sweep.far): sweep for sweep in used}
 
     def _work(self, group: Group, count: int, dt: float) -> None:
-        """Work off some samples of a group's knot, and go on to the next when all are done."""
+        """Use some samples of a group's knot, and go on to the next when all are used."""
         sweep, knots = group.sweep, self._knots
         if group.slots is None:
             group.slots = knots.slots(np.array([sweep.far - 1 - group.index]), group.robots)
@@ -325,12 +312,7 @@ class PathLearner:
         return self._knots.learned(int(self._reach[0]))
 
     def start_from(self, learned: LearnedWeights) -> str:
-        """Let every robot go on from the weights of a run on a path of the same curvature.
-
-        Returns:
-            Why this path is another one, empty if it is not.
-
-        """
+        """Start every robot from the weights of another run; return why not, empty if it did."""
         problem = self._knots.start_from(learned)
         if not problem:
             self._reach[:] = min(learned.reach, self._window)

@@ -9,7 +9,7 @@ _INNERMOST = 0.05  # of the region: the smallest of these scales
 _BITS = 30
 
 
-# Of Joe and Kuo: coefficients of a primitive polynomial after the leading one, and the first
+# By Joe and Kuo: coefficients of a primitive polynomial after the leading one, and the first
 # direction numbers. The first dimension has neither.
 _DIMENSIONS: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = (
     ((), ()),

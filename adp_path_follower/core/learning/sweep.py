@@ -1,8 +1,7 @@
 """Learns knot by knot, backwards along the path: from the Riccati solution at the end of a preview.
 
-A place of the path is told what comes by the place ahead of it. So the weights of knot k follow
-from those of knot k + 1: they have the least Bellman errors for the policy of knot k + 1. With
-least squares they depend on nothing else, so robots that are near one another share a sweep.
+The weights of knot k have the least Bellman errors for the policy of knot k + 1, which is ahead of
+it. With least squares they depend on nothing else, so robots near one another share a sweep.
 """
 
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ class Sweep:
         near: The last knot.
         far: The knot ahead of the first.
         samples: How many samples make up a knot.
-        updates: Of the knots far - 1, far - 2, ..., as far as a robot has come.
+        updates: Updates of the knots far - 1, far - 2, ... that a robot has passed.
 
     """
 
@@ -34,7 +33,7 @@ class Sweep:
         self._equations: NormalEquations | None = None  # of those
 
     def work(self, model: KnotModel, until: int, curvature: float, speed: float) -> None:
-        """Work off the samples of the next knot up to number `until`, if that is still to do."""
+        """Add the samples of the next knot up to number `until` to its equations."""
         if until <= self._done:
             return
         samples = slice(self._done, until)
@@ -50,16 +49,7 @@ class Sweep:
         curvature: float,
         speed: float,
     ) -> None:
-        """Update the critic of the next knot, whose samples are worked off.
-
-        Args:
-            critic: Makes the update.
-            weights: Wc of the knot so far, shape (L,).
-            elapsed: Time since the knot's last update [s].
-            curvature: kappa [1/m] at the knot.
-            speed: v_des [m/s] there.
-
-        """
+        """Update the critic of the next knot, all of whose samples are used; see `KnotCritic`."""
         assert self._equations is not None  # there are samples
         update = critic.update(self._equations, weights, elapsed, curvature, speed)
         self.updates.append(update)
@@ -76,7 +66,7 @@ class Group:
     index: int = 0  # how many of its knots they have passed
     # Where their weights of the present knot are stored, shape (n,).
     slots: np.ndarray | None = None
-    done: int = 0  # how many samples of that knot are worked off for them
+    done: int = 0  # how many samples of that knot are used for them
     time: float = 0.0  # how long they have been at it [s]
     refused: bool = False  # whether an update of this sweep was refused
 

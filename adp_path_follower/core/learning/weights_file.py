@@ -1,4 +1,4 @@
-"""Learned weights as a file, so that the next run begins where this one ended.
+"""Learned weights as a file, from which another run can start.
 
 The file is numpy's .npz without pickle: a text in YAML that says what the weights belong to, and
 arrays. Weights depend on the settings that state the problem and, where they change along the
@@ -37,7 +37,7 @@ _AGAIN = "save it again with ~/save_weights, or leave 'weights_file' empty"
 
 @dataclass(frozen=True)
 class SavedWeights:
-    """What was learned, and what it belongs to."""
+    """Learned weights, and the settings that they belong to."""
 
     settings: Mapping[str, Value]  # setting -> value, of those that state the problem
     learned: LearnedWeights  # the weights

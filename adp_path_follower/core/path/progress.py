@@ -192,8 +192,8 @@ def _near(route: Route, pose: FloatArray, last: Place, reach: float) -> tuple[Pl
 def _carried_over(left: Left, new: Route) -> Place | None:
     """Return the last place on a route that is the same but for its ends, else None.
 
-    They are the same if they are so about the last place. Of several ways to lay one over the
-    other, as with laps, the one with the longest common stretch counts. After the end of the old
+    They are the same if they are so about the last place. Where one can lie over the
+    other in several ways, as with laps, the longest common stretch counts. After the end of the old
     route only one that goes on from there is the same.
     """
     old, last = left.route, left.place

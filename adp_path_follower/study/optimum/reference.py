@@ -43,7 +43,7 @@ def cost_over_horizon(
 ) -> float:
     """Return J over the horizon, from each pose along the next command; NaN for a shorter run.
 
-    `settings` give cost and target. Of the N control steps there are the time since the first [s]
+    `settings` give cost and target. The N control steps have the time since the first [s]
     (N,), poses [x, y, theta] (N, 3), commands [v, w] (N, 2) and places of the target [m] (N,).
     """
     if not len(time) or time[-1] < COST_HORIZON - 1e-6:
