@@ -20,7 +20,7 @@ from adp_path_follower.core.settings.groups import Settings
 
 _MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
 _LEAST_VALUE = 0.5  # of the Riccati solution's value: the learned value likewise
-_NOTHING = 1e-12  # a cost in which rounding decides
+_ROUNDING = 1e-12  # a cost in which rounding decides
 _PROBATION = 0.5  # [s] without doubt, before the learned policy drives again
 _CHANGE_TIME = 0.2  # [s] from one policy to the other
 
@@ -90,13 +90,16 @@ def is_doubtful(
     running_cost: FloatArray,
     value: FloatArray,
     riccati_value: FloatArray,
+    nothing: float = 0.0,
 ) -> np.ndarray:
     """Return where the learned value function does not decrease as it must, shape (...).
 
     Bellman error delta, running cost r and value are those of the learned policy, `riccati_value`
-    is that of the Riccati solution, shape (...) each.
+    is that of the Riccati solution, shape (...) each; `nothing` is a
+    cost, and a rate of cost, that is as good as none.
     """
-    rises = bellman_error > _MOST_ERROR * running_cost + _NOTHING
-    small: np.ndarray = value < _LEAST_VALUE * riccati_value - _NOTHING
+    nothing += _ROUNDING
+    rises = bellman_error > _MOST_ERROR * running_cost + nothing
+    small: np.ndarray = value < _LEAST_VALUE * riccati_value - nothing
     doubtful: np.ndarray = rises | small
     return doubtful

@@ -33,7 +33,10 @@ from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_error
 from adp_path_follower.core.learning.learner import Evidence, Learner
 from adp_path_follower.core.learning.weights import LocalWeights, Weights
 from adp_path_follower.core.path.curve import PathFrame
+from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
+
+_NOTHING = 0.005  # [m], [rad]: nobody minds errors below, and in their cost approximations decide
 
 
 @dataclass(frozen=True)
@@ -97,9 +100,14 @@ class CommandLaw:
     """
 
     def __init__(
-        self, settings: Settings, riccati: RiccatiSchedule, learner: Learner, actuation: Actuation
+        self,
+        settings: Settings,
+        riccati: RiccatiSchedule,
+        learner: Learner,
+        actuation: Actuation,
+        profile: SpeedProfile,
     ) -> None:
-        """Take the Riccati solution, the learner's weights and the robot's last commands."""
+        """Take Riccati solution, learner, last commands, and the speeds that is learned for."""
         self.settings = settings
         self._learner, self._actuation = learner, actuation
         self._basis = settings.learning.value_basis
@@ -110,6 +118,9 @@ class CommandLaw:
         safe_policy = settings.policy.fallback != "none"
         self._fallback = RiccatiPolicy(settings, riccati) if safe_policy else None
         self._distrust = Distrust()
+        self._profile = profile
+        nothing = np.full(3, _NOTHING)
+        self._nothing = float(nothing @ settings.cost.state_cost_matrix() @ nothing)
 
     def hold(self) -> None:
         """Forget earlier doubt: the next step decides at once which policy drives."""
@@ -133,7 +144,16 @@ class CommandLaw:
         learned = saturate(self.actor_input(here), here.feedforward, limits)
         unforced = self._unforced(here)
         running_cost, measured = self._bellman_error(here, unforced, learned)
-        doubt = self._doubt(here, running_cost, measured, dt)
+        doubt = np.zeros_like(running_cost)
+        if self._fallback is not None:
+            speed = self._profile.model_speed(arc_length)
+            if speed is v_des or not np.any(speed != v_des):
+                found = here, running_cost, measured
+            else:  # coming from rest, or near the end: judged at the speed that was learned for
+                there = self.situation(frame, error, arc_length, speed)
+                tried = saturate(self.actor_input(there), there.feedforward, limits)
+                found = there, *self._bellman_error(there, self._unforced(there), tried)
+            doubt = self._doubt(self._fallback, *found, dt)
         applied = self._safe_input(here, learned, doubt)
         # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.
         wanted = within(applied + here.feedforward, limits)
@@ -206,14 +226,18 @@ class CommandLaw:
         return running_cost, errors
 
     def _doubt(
-        self, here: Situation, running_cost: FloatArray, measured: BellmanErrors, dt: float
+        self,
+        fallback: RiccatiPolicy,
+        here: Situation,
+        running_cost: FloatArray,
+        measured: BellmanErrors,
+        dt: float,
     ) -> FloatArray:
         """Return the share of the Riccati policy from 0 to 1, shape (...), equation (5)."""
-        if self._fallback is None:
-            return np.zeros_like(running_cost)
         value = _inner(here.local.weights.critic, here.expansion.value)
-        safe_value = self._fallback.value(here.zeta, here.curvature, here.v_des)
-        doubtful = is_doubtful(measured.error[..., 0], running_cost, value, safe_value)
+        safe_value = fallback.value(here.zeta, here.curvature, here.v_des)
+        error = measured.error[..., 0]
+        doubtful = is_doubtful(error, running_cost, value, safe_value, self._nothing)
         return self._distrust.share(doubtful, dt)
 
     def _safe_input(self, here: Situation, learned: FloatArray, doubt: FloatArray) -> FloatArray:

@@ -72,7 +72,7 @@ class PathFollower:
             self._learner = PathLearner(settings, path, riccati, self.profile, batch)
         else:
             self._learner = PathStateLearner(settings, path, riccati, weights, self.profile)
-        self.law = CommandLaw(settings, riccati, self._learner, self._actuation)
+        self.law = CommandLaw(settings, riccati, self._learner, self._actuation, self.profile)
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
         self._period = 0.0  # [s] of the last step

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from adp_path_follower.core.control.fallback import Distrust, RiccatiPolicy, is_doubtful
 from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.core.geometry import pose_in_frame
+from adp_path_follower.core.geometry import advance_pose, pose_in_frame
 from adp_path_follower.core.path.library import lissajous, named_path
-from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.simulation.simulate import simulate
 
@@ -105,3 +106,19 @@ def test_far_from_the_default_problem_it_is_no_worse_than_the_riccati_policy(cha
     )
     assert (learned.cost <= 1.02 * riccati.cost).all()
     assert learned.cost.mean() < riccati.cost.mean()
+
+
+@pytest.mark.parametrize(
+    ("start", "place", "steps"),
+    [((-0.3, 0.3, 0.5), 0.0, 100), ((0.0, 0.4, 0.0), 0.0, 100), ((0.0, 0.0, 0.0), 13.0, 250)],
+)
+def test_nothing_is_doubted_from_rest_nor_at_errors_that_nobody_minds(start, place, steps):
+    limits = {"max_linear_accel": 1.0, "max_linear_decel": 1.0, "max_angular_accel": 6.0}
+    corners = [(0, 0), (4, 0), (4, 3), (1, 3), (1, 6), (5, 6)]
+    path = prepare(corners, PathSettings()).segments[0].path
+    follower = PathFollower(build(Settings, limits), path, place)
+    pose = pose_in_frame(np.array(start), path.frame(place).pose)
+    for _ in range(steps):
+        output = follower.step(pose, 0.01)
+        assert follower.learning_problem == ""
+        pose = advance_pose(pose, *output.command, 0.01)
