@@ -102,6 +102,8 @@ class PathLearner:
         self._groups: list[Group] = []
         self._problems: dict[int, str] = {}  # by robot
         self._sampled = SampleEvidence(np.full(self._shape, np.nan))
+        self._resting_at = b""  # the knots about the robots while all of them rest
+        self._followed = self._slots = np.zeros((0, 0), np.int64)  # knots whose actors follow
 
     def reset(self, where: np.ndarray | None = None) -> None:
         """Return to the initial weights, of the robots where (...) is true.
@@ -119,6 +121,7 @@ class PathLearner:
     def _stop(self, robots: np.ndarray) -> None:
         """Let the robots (B,) that are true leave their sweeps, and begin anew."""
         self._busy[robots], self._learned_from[robots] = False, _NEVER
+        self._resting_at = b""
         for group in self._groups:
             group.keep(~robots[group.robots])
         self._groups = [group for group in self._groups if len(group.robots)]
@@ -151,12 +154,17 @@ class PathLearner:
         No measurement is needed: the samples cover the measured state too.
         """
         near, ahead = self._span(observation)
-        self._begin(near, ahead)
-        for group in self._groups:
-            self._work(group, self._learning.samples_per_step, dt)
-        self._groups = [group for group in self._groups if not group.ended]
-        spread = int(ahead[0] - near[0])  # 1 unless robots share their weights
-        self._follow(near + np.arange(spread + self._window)[:, None], dt)
+        place = near.tobytes() + ahead.tobytes()
+        if place != self._resting_at:
+            self._begin(near, ahead)
+            self._resting_at = b"" if self._groups else place
+            for group in self._groups:
+                self._work(group, self._learning.samples_per_step, dt)
+            self._groups = [group for group in self._groups if not group.ended]
+            spread = int(ahead[0] - near[0])  # 1 unless robots share their weights
+            self._followed = near + np.arange(spread + self._window)[:, None]
+            self._slots = np.ascontiguousarray(self._knots.slots(self._followed).T)
+        self._follow(dt)
 
     def _span(self, observation: Observation) -> tuple[np.ndarray, np.ndarray]:
         """Return the knots behind and ahead of each robot, or of all that share weights, (B,)."""
@@ -252,13 +260,12 @@ class PathLearner:
             for robot in robots.tolist():
                 self._problems.pop(robot, None)
 
-    def _follow(self, near: np.ndarray, dt: float) -> None:
-        """Let each actor follow its critic at the knots `near` (n, B)."""
+    def _follow(self, dt: float) -> None:
+        """Let each actor follow its critic at the knots ahead of its robot."""
         knots, learning = self._knots, self._learning
-        slots = np.ascontiguousarray(knots.slots(near).T)
-        unsound = np.zeros(self._count, bool)
+        lost: list[int] = []
         for start in range(0, self._count, _AT_ONCE):
-            some = slots[start : start + _AT_ONCE]
+            some = self._slots[start : start + _AT_ONCE]
             actor, critic = knots.actor[some], knots.critic[some]
             followed = follow(actor, critic, learning.actor_gain, self._bound, dt)
             if np.isfinite(followed.sum()):
@@ -266,12 +273,11 @@ class PathLearner:
                 continue
             sound = np.isfinite(actor).all(axis=(1, 2)) & np.isfinite(critic).all(axis=(1, 2))
             knots.actor[some[sound]] = followed[sound]
-            unsound[start : start + _AT_ONCE] = ~sound
-        if unsound.any():
-            lost = np.flatnonzero(unsound).tolist()
+            lost += (start + np.flatnonzero(~sound)).tolist()
+        if lost:
             self._problems.update(dict.fromkeys(lost, "weights are not finite"))
-            knots.renew(near)
-            self._stop(unsound)
+            knots.renew(self._followed)
+            self._stop(np.isin(np.arange(self._count), lost))
 
     def settle(self, observation: Observation) -> bool:
         """Learn all that lies ahead of every robot; return whether the weights settled."""
@@ -316,4 +322,5 @@ class PathLearner:
         problem = self._knots.start_from(learned)
         if not problem:
             self._reach[:] = min(learned.reach, self._window)
+            self._resting_at = b""
         return problem
