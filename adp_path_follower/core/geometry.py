@@ -33,6 +33,13 @@ def unpacked(array: FloatArray) -> tuple[FloatArray, ...]:
     return tuple(array[..., index][()] for index in range(array.shape[-1]))
 
 
+def inner(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the inner products of vectors (..., L), shape (...)."""
+    if first.ndim == second.ndim == 1:
+        return np.asarray(first @ second)[()]
+    return np.asarray((first * second).sum(-1))
+
+
 def contiguous(array: FloatArray) -> FloatArray:
     """Return an array whose numbers lie side by side in memory; a single number as it is.
 

@@ -20,6 +20,7 @@ from adp_path_follower.core.settings.groups import Settings
 
 _MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
 _LEAST_VALUE = 0.5  # of the Riccati solution's value: the learned value likewise
+_NOTHING = 0.005  # [m], [rad]: nobody minds errors below, and in their cost approximations decide
 _ROUNDING = 1e-12  # a cost in which rounding decides
 _PROBATION = 0.5  # [s] without doubt, before the learned policy drives again
 _CHANGE_TIME = 0.2  # [s] from one policy to the other
@@ -83,6 +84,50 @@ class Distrust:
             step = dt / _CHANGE_TIME
             self._share = self._share + clamped(wanted - self._share, -step, step)
         return np.asarray(self._share)[()]
+
+
+class Fallback:
+    """Lets the Riccati policy drive where the learned one is doubtful."""
+
+    def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
+        """Take R, the limits and P along the path; begin without doubt."""
+        self._policy, self._distrust = RiccatiPolicy(settings, riccati), Distrust()
+        self.reset = self._distrust.reset
+        nothing = np.full(3, _NOTHING)
+        self._nothing = float(nothing @ settings.cost.state_cost_matrix() @ nothing)
+
+    def doubt(
+        self,
+        bellman_error: FloatArray,
+        running_cost: FloatArray,
+        value: FloatArray,
+        zeta: FloatArray,
+        curvature: FloatArray,
+        v_des: Number,
+        dt: float,
+    ) -> FloatArray:
+        """Return the share of the Riccati policy from 0 to 1, dt [s] after the last, shape (...).
+
+        Bellman error delta, running cost r and value, shape (...) each, are those of the learned
+        policy at states zeta (..., 4), where the path has kappa [1/m] and v_des [m/s].
+        """
+        riccati_value = self._policy.value(zeta, curvature, v_des)
+        doubtful = is_doubtful(bellman_error, running_cost, value, riccati_value, self._nothing)
+        return self._distrust.share(doubtful, dt)
+
+    def blend(
+        self,
+        learned: FloatArray,
+        doubt: FloatArray,
+        zeta: FloatArray,
+        curvature: FloatArray,
+        feedforward: FloatArray,
+    ) -> FloatArray:
+        """Return the input, shape (..., 2): the Riccati policy's as far as there is doubt."""
+        if not doubt.any():
+            return learned
+        safe = self._policy.modified_input(zeta, curvature, feedforward)
+        return learned + doubt[..., None] * (safe - learned)
 
 
 def is_doubtful(

@@ -23,51 +23,18 @@ from adp_path_follower.core.basis import Expansion, Numbers
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.control.cost import RunningCost
-from adp_path_follower.core.control.fallback import Distrust, RiccatiPolicy, is_doubtful
+from adp_path_follower.core.control.fallback import Fallback
 from adp_path_follower.core.control.far_from_path import WideRegion
-from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.policy import descending_input, saturate, within
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.geometry import FloatArray, Number, components, cos, numbers, sin
+from adp_path_follower.core.driving.output import FollowerOutput
+from adp_path_follower.core.geometry import FloatArray, Number, components, cos, inner, numbers, sin
 from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
-from adp_path_follower.core.learning.learner import Evidence, Learner
-from adp_path_follower.core.learning.weights import LocalWeights, Weights
+from adp_path_follower.core.learning.learner import Learner
+from adp_path_follower.core.learning.weights import LocalWeights
 from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
-
-_NOTHING = 0.005  # [m], [rad]: nobody minds errors below, and in their cost approximations decide
-
-
-@dataclass(frozen=True)
-class FollowerOutput(ControlOutput):
-    """The result of one control step of `PathFollower`.
-
-    Attributes:
-        running_cost: e^T Q e + u^T R u, shape (...).
-        weights: Critic and actor weights that gave the command, shape (..., L) each.
-        measured: Bellman error at the measured state.
-        sampled: Evidence of the samples on the weights.
-        doubt: Share of the Riccati policy, because the learned value function does not decrease
-            here as it must, shape (...).
-
-    """
-
-    running_cost: FloatArray
-    weights: Weights
-    measured: BellmanErrors
-    sampled: Evidence
-    doubt: FloatArray
-
-    @property
-    def bellman_error(self) -> FloatArray:
-        """Return delta at the measured state, shape (...)."""
-        return self.measured.error[..., 0]
-
-    @property
-    def excitation(self) -> FloatArray | float:
-        """Return the certificate of excitation, shape (...)."""
-        return self.sampled.excitation
 
 
 @dataclass(frozen=True)
@@ -81,14 +48,6 @@ class Situation:
     heading: Numbers  # cos and sin of the heading error, numbers of shape (...)
     expansion: Expansion  # sigma and sigma'
     local: LocalWeights  # the weights
-
-
-@dataclass(frozen=True)
-class Unforced:
-    """The rates of state and value at u = 0."""
-
-    drift: Numbers  # f, four numbers of shape (...)
-    passing: FloatArray  # (dWc/ds_p)^T sigma s_p', because the target moves on, shape (...)
 
 
 class CommandLaw:
@@ -116,15 +75,13 @@ class CommandLaw:
         far_policy = settings.policy.wide_region != "none"
         self._wide_region = WideRegion(settings, riccati) if far_policy else None
         safe_policy = settings.policy.fallback != "none"
-        self._fallback = RiccatiPolicy(settings, riccati) if safe_policy else None
-        self._distrust = Distrust()
+        self._fallback = Fallback(settings, riccati) if safe_policy else None
         self._profile = profile
-        nothing = np.full(3, _NOTHING)
-        self._nothing = float(nothing @ settings.cost.state_cost_matrix() @ nothing)
 
     def hold(self) -> None:
         """Forget earlier doubt: the next step decides at once which policy drives."""
-        self._distrust.reset()
+        if self._fallback is not None:
+            self._fallback.reset()
 
     def step(
         self,
@@ -142,8 +99,8 @@ class CommandLaw:
         limits = self.settings.limits
         here = self.situation(frame, error, arc_length, v_des)
         learned = saturate(self.actor_input(here), here.feedforward, limits)
-        unforced = self._unforced(here)
-        running_cost, measured = self._bellman_error(here, unforced, learned)
+        drift, passing = self._unforced(here)
+        running_cost, measured = self._bellman_error(here, drift, passing, learned)
         doubt = np.zeros_like(running_cost)
         if self._fallback is not None:
             speed = self._profile.model_speed(arc_length)
@@ -152,7 +109,7 @@ class CommandLaw:
             else:  # coming from rest, or near the end: judged at the speed that was learned for
                 there = self.situation(frame, error, arc_length, speed)
                 tried = saturate(self.actor_input(there), there.feedforward, limits)
-                found = there, *self._bellman_error(there, self._unforced(there), tried)
+                found = there, *self._bellman_error(there, *self._unforced(there), tried)
             doubt = self._doubt(self._fallback, *found, dt)
         applied = self._safe_input(here, learned, doubt)
         # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.
@@ -161,7 +118,7 @@ class CommandLaw:
         if command is not wanted and (command != wanted).any():
             applied = command - here.feedforward
         if applied is not learned:
-            running_cost, measured = self._bellman_error(here, unforced, applied)
+            running_cost, measured = self._bellman_error(here, drift, passing, applied)
         return FollowerOutput(
             command=command,
             modified_input=applied,
@@ -201,59 +158,49 @@ class CommandLaw:
         descent = components(cos_theta * by_s + sin_theta * by_y, by_theta)  # g^T sigma'^T Wa
         return descending_input(descent, self._inverse_cost)
 
-    def _unforced(self, here: Situation) -> Unforced:
-        """Return f of equation (1), and how the value changes because the target moves on."""
+    def _unforced(self, here: Situation) -> tuple[Numbers, Number]:
+        """Return f of equation (1), four numbers, and (dWc/ds_p)^T sigma s_p', shape (...) each."""
         target, slope = self.settings.target, here.local.slope
-        passing = np.zeros(())[()]
+        passing: Number = 0.0
         if slope is not None:
             speed = error_dynamics.target_speed(here.zeta, target, here.v_des)
-            passing = speed * _inner(slope, here.expansion.value)
+            passing = speed * inner(slope, here.expansion.value)
         drift = error_dynamics.drift(here.zeta, here.curvature, target, here.v_des)
-        return Unforced(numbers(drift), passing)
+        return numbers(drift), passing
 
     def _bellman_error(
-        self, here: Situation, unforced: Unforced, u: FloatArray
+        self, here: Situation, drift: Numbers, passing: Number, u: FloatArray
     ) -> tuple[FloatArray, BellmanErrors]:
         """Return the running cost, and delta of an input (..., 2), equation (4)."""
         running_cost = self._running_cost(here.zeta[..., :3], u)
-        (s_rate, y_rate, turn, phi_rate), (cos_theta, sin_theta) = unforced.drift, here.heading
+        (s_rate, y_rate, turn, phi_rate), (cos_theta, sin_theta) = drift, here.heading
         v, w = numbers(u)
         omega = here.expansion.rate(
             (s_rate + cos_theta * v, y_rate + sin_theta * v, turn + w, phi_rate)  # f + g u
         )
-        cost_rate = (running_cost + unforced.passing)[..., None]
+        cost_rate = (running_cost + passing)[..., None]
         errors = bellman_errors(here.local.weights.critic, omega[..., None, :], cost_rate)
         return running_cost, errors
 
     def _doubt(
         self,
-        fallback: RiccatiPolicy,
+        fallback: Fallback,
         here: Situation,
         running_cost: FloatArray,
         measured: BellmanErrors,
         dt: float,
     ) -> FloatArray:
         """Return the share of the Riccati policy from 0 to 1, shape (...), equation (5)."""
-        value = _inner(here.local.weights.critic, here.expansion.value)
-        safe_value = fallback.value(here.zeta, here.curvature, here.v_des)
-        error = measured.error[..., 0]
-        doubtful = is_doubtful(error, running_cost, value, safe_value, self._nothing)
-        return self._distrust.share(doubtful, dt)
+        value = inner(here.local.weights.critic, here.expansion.value)
+        state = (here.zeta, here.curvature, here.v_des)
+        return fallback.doubt(measured.error[..., 0], running_cost, value, *state, dt)
 
     def _safe_input(self, here: Situation, learned: FloatArray, doubt: FloatArray) -> FloatArray:
         """Return the input after fallback and far policy, shape (..., 2), equation (6)."""
         place = (here.zeta, here.curvature, here.feedforward)
         applied = learned
-        if self._fallback is not None and doubt.any():
-            safe = self._fallback.modified_input(*place)
-            applied = applied + doubt[..., None] * (safe - applied)
+        if self._fallback is not None:
+            applied = self._fallback.blend(applied, doubt, *place)
         if self._wide_region is not None:
             applied = self._wide_region.blend(applied, *place)
         return applied
-
-
-def _inner(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the inner products of vectors (..., L), shape (...)."""
-    if first.ndim == second.ndim == 1:
-        return np.asarray(first @ second)[()]
-    return np.asarray((first * second).sum(-1))

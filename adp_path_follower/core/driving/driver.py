@@ -11,9 +11,9 @@ import numpy as np
 
 from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.driving.arrival import Standstill
-from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.counts import Counts
 from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.driving.turning import turning_command
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray, tracking_error

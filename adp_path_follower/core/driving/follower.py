@@ -9,7 +9,8 @@ from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.driving.arrival import Goal
-from adp_path_follower.core.driving.command_law import CommandLaw, FollowerOutput
+from adp_path_follower.core.driving.command_law import CommandLaw
+from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.bellman import BellmanErrors
 from adp_path_follower.core.learning.learner import Learner, Observation

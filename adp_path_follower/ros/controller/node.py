@@ -11,8 +11,8 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from std_srvs.srv import Trigger
 
 from adp_path_follower import __version__
-from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.odometry_check import OdometryProblem, stamp_problem

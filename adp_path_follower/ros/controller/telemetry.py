@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import ColorRGBA, Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from adp_path_follower.core.driving.command_law import FollowerOutput
+from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.safety.supervisor import State, Status

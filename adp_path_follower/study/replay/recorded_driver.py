@@ -5,10 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.counts import Counts
 from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.weights_file import SavedWeights, decode

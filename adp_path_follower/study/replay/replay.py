@@ -7,8 +7,8 @@ import numpy as np
 
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from adp_path_follower import criteria
 from adp_path_follower.core.control.cost import MotionCost
 from adp_path_follower.core.control.interface import Controller, ControlOutput
-from adp_path_follower.core.driving.command_law import FollowerOutput
 from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error

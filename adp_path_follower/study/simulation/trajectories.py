@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.driving.command_law import FollowerOutput
+from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.weights import Weights
 

@@ -1,0 +1,42 @@
+"""The result of one control step, as telemetry, replay and simulation take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.learning.bellman import BellmanErrors
+from adp_path_follower.core.learning.learner import Evidence
+from adp_path_follower.core.learning.weights import Weights
+
+
+@dataclass(frozen=True)
+class FollowerOutput(ControlOutput):
+    """The result of one control step of `PathFollower`.
+
+    Attributes:
+        running_cost: e^T Q e + u^T R u, shape (...).
+        weights: Critic and actor weights that gave the command, shape (..., L) each.
+        measured: Bellman error at the measured state.
+        sampled: How well the samples determine the weights.
+        doubt: Share of the Riccati policy, because the learned value function does not decrease
+            here as it must, shape (...).
+
+    """
+
+    running_cost: FloatArray
+    weights: Weights
+    measured: BellmanErrors
+    sampled: Evidence
+    doubt: FloatArray
+
+    @property
+    def bellman_error(self) -> FloatArray:
+        """Return delta at the measured state, shape (...)."""
+        return self.measured.error[..., 0]
+
+    @property
+    def excitation(self) -> FloatArray | float:
+        """Return the certificate of excitation, shape (...)."""
+        return self.sampled.excitation
