@@ -24,11 +24,14 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.comparison.controllers import PEERS
-from adp_path_follower.study.comparison.peers import lapierre_soetanto, pure_pursuit, stanley
-from adp_path_follower.study.comparison.peers.lapierre_soetanto import LapierreSoetanto
+from adp_path_follower.study.comparison.peers import pure_pursuit
+from adp_path_follower.study.comparison.peers.lapierre_soetanto import (
+    LapierreSoetanto,
+    TunedLapierreSoetanto,
+)
 from adp_path_follower.study.comparison.peers.lqr import Lqr
 from adp_path_follower.study.comparison.peers.pure_pursuit import PurePursuit, RegulatedPurePursuit
-from adp_path_follower.study.comparison.peers.stanley import Stanley, StanleyGains
+from adp_path_follower.study.comparison.peers.stanley import Stanley, StanleyGains, TunedStanley
 from folders import DATA, ROOT
 
 try:
@@ -234,25 +237,25 @@ def test_stanley_limits_its_steering():
 
 def test_tuned_stanley_keeps_a_robot_on_a_circle():
     path = PATHS["circle:0.5"]
-    controller = Stanley(SETTINGS, path, np.array([1.0]), stanley.TUNED_GAINS)
+    controller = TunedStanley(SETTINGS, path, np.array([1.0]))
     output = controller.step(path.frame(np.array([1.0])).pose, 0.0)
     assert output.modified_input[0] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
-@pytest.mark.parametrize("gains", [lapierre_soetanto.USUAL_GAINS, lapierre_soetanto.TUNED_GAINS])
-def test_lapierre_soetanto_lets_its_lyapunov_function_decrease(gains):
+@pytest.mark.parametrize("law", [LapierreSoetanto, TunedLapierreSoetanto])
+def test_lapierre_soetanto_lets_its_lyapunov_function_decrease(law):
     rng, path = np.random.default_rng(5), PATHS["circle:0.5"]
     # v = v_des - k s takes energy out of s while v > 0 and |theta| < pi / 2.
     starts = rng.uniform(-1.0, 1.0, (200, 3)) * [0.45, 1.0, 1.4]
     pose = pose_in_frame(starts, path.frame(np.zeros(200)).pose)
-    controller = LapierreSoetanto(SETTINGS, path, np.zeros(200), gains)
+    controller, gains = law(SETTINGS, path, np.zeros(200)), law.gains
     output = controller.step(pose, 0.0)
     step = 1e-5
     moved = advance_pose(pose, *output.command.T, step)
     after = controller.step(moved, step).error
     rate = (controller.lyapunov(after) - controller.lyapunov(output.error)) / step
     assert (rate < 0.0).all()
-    if gains is lapierre_soetanto.USUAL_GAINS:
+    if law is LapierreSoetanto:
         s, y, theta = output.error.T
         approach = -gains.approach_angle * np.tanh(gains.approach_gain * y)
         expected = (
