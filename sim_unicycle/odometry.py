@@ -30,32 +30,25 @@ class Reading:
     twist: FloatArray  # v [m/s] and w [rad/s] of the wheels, shape (..., 2)
 
 
-class _Streams:
+class _Stream:
     """Random numbers for every run of a batch, each from a generator of its own."""
 
     def __init__(self, seed: int, runs: int, purpose: int) -> None:
         self._generators = [np.random.default_rng((seed + run, purpose)) for run in range(runs)]
         self._rows = max(1, _CHUNK // max(1, 3 * runs))
-        self._normal = np.zeros((0, runs, 3))
-        self._uniform = np.zeros((0, runs))
-        self._normal_row = self._uniform_row = 0
+        self._normal = purpose != _LOSS
+        self._drawn, self._row = np.zeros((0, runs)), 0
 
-    def normal(self) -> FloatArray:
-        """Return three standard normal numbers for each run, shape (runs, 3)."""
-        if self._normal_row == len(self._normal):
-            draws = [item.standard_normal((self._rows, 3)) for item in self._generators]
-            self._normal, self._normal_row = np.stack(draws, axis=1), 0
-        self._normal_row += 1
-        row: FloatArray = self._normal[self._normal_row - 1]
-        return row
-
-    def uniform(self) -> FloatArray:
-        """Return a number in [0, 1) for each run, shape (runs,)."""
-        if self._uniform_row == len(self._uniform):
-            draws = [item.random(self._rows) for item in self._generators]
-            self._uniform, self._uniform_row = np.stack(draws, axis=1), 0
-        self._uniform_row += 1
-        row: FloatArray = self._uniform[self._uniform_row - 1]
+    def draw(self) -> FloatArray:
+        """Return three normal numbers for each run, (runs, 3), or one in [0, 1) for losses."""
+        if self._row == len(self._drawn):
+            draws = [
+                item.standard_normal((self._rows, 3)) if self._normal else item.random(self._rows)
+                for item in self._generators
+            ]
+            self._drawn, self._row = np.stack(draws, axis=1), 0
+        self._row += 1
+        row: FloatArray = self._drawn[self._row - 1]
         return row
 
 
@@ -76,7 +69,7 @@ class Odometry:
         """
         self._shape = pose.shape[:-1]
         self._seed = plant.seed + run
-        self._streams: dict[int, _Streams] = {}
+        self._streams: dict[int, _Stream] = {}
         self._offset = np.zeros(pose.shape)
         self._due: deque[tuple[float, Reading, Losses | None]] = deque()
         self.reading = self._measured(0.0, pose, twist, plant)
@@ -90,7 +83,7 @@ class Odometry:
         reading = self._measured(time, pose, twist, plant)
         lost: Losses | None = None
         if plant.odometry_drop > 0.0:
-            lost = self._stream(_LOSS).uniform() < plant.odometry_drop
+            lost = self._stream(_LOSS).draw() < plant.odometry_drop
         self._due.append((time + plant.odometry_delay, reading, lost))
         arrived = []
         while self._due and self._due[0][0] <= time + 1e-9:
@@ -112,7 +105,7 @@ class Odometry:
     def _drift(self, dt: float, plant: PlantSettings) -> None:
         if plant.position_drift > 0.0 or plant.heading_drift > 0.0:
             rate = np.array([plant.position_drift, plant.position_drift, plant.heading_drift])
-            walk = self._stream(_DRIFT).normal().reshape(self._offset.shape)
+            walk = self._stream(_DRIFT).draw().reshape(self._offset.shape)
             self._offset = self._offset + math.sqrt(dt) * rate * walk
 
     def _measured(
@@ -121,12 +114,12 @@ class Odometry:
         measured = pose + self._offset
         if plant.position_noise > 0.0 or plant.heading_noise > 0.0:
             size = np.array([plant.position_noise, plant.position_noise, plant.heading_noise])
-            measured = measured + size * self._stream(_NOISE).normal().reshape(pose.shape)
+            measured = measured + size * self._stream(_NOISE).draw().reshape(pose.shape)
         measured[..., 2] = wrap_angle(measured[..., 2])
         return Reading(time, measured, twist)
 
-    def _stream(self, purpose: int) -> _Streams:
+    def _stream(self, purpose: int) -> _Stream:
         if purpose not in self._streams:
             runs = math.prod(self._shape)
-            self._streams[purpose] = _Streams(self._seed, runs, purpose)
+            self._streams[purpose] = _Stream(self._seed, runs, purpose)
         return self._streams[purpose]

@@ -17,7 +17,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.comparison.controllers import Contender, contenders
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
 from adp_path_follower.study.optimum.problem import OptimumError
-from adp_path_follower.study.simulation.simulate import PAPER_START, SimulationResult, simulate
+from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings
 
@@ -219,14 +219,6 @@ def _outcome(
     optimal: FloatArray,
     progress: Callable[[float], None],
 ) -> Outcome:
-    def run(from_starts: FloatArray, time: float, record: bool, first: float) -> SimulationResult:
-        return simulated(
-            starts=from_starts,
-            duration=time,
-            record=record,
-            progress=lambda part: progress(first + 0.5 * part),
-        )
-
     known = np.isfinite(starts).all(axis=1)
 
     def of_all(values: FloatArray) -> FloatArray:
@@ -235,8 +227,10 @@ def _outcome(
         every[known] = values
         return every
 
-    many = run(starts[known], duration, False, 0.0)
-    single = run(np.array([PAPER_START]), lap, True, 0.5)
+    many = simulated(
+        starts=starts[known], duration=duration, progress=lambda part: progress(0.5 * part)
+    )
+    single = simulated(duration=lap, record=True, progress=lambda part: progress(0.5 + 0.5 * part))
     assert single.trajectories is not None  # record=True
     counted = single.trajectories.time >= criteria.TRANSIENT
     if not path.closed:

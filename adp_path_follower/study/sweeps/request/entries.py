@@ -1,7 +1,6 @@
 """Reads the entries of sweep and tuning files; errors name the file and the section."""
 
 import contextlib
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import TypeVar
@@ -9,6 +8,7 @@ from typing import TypeVar
 from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.files import read_yaml
 from adp_path_follower.core.settings.schema import build, setting_fields
+from adp_path_follower.resources import did_you_mean
 
 Tree = TypeVar("Tree")
 Entries = dict[str, object]
@@ -52,8 +52,5 @@ def build_entries(tree: type[Tree], entries: Mapping[str, object], others: Seque
             single = fields[name].item_kind is str and isinstance(value, str)
             values[name] = [value] if single else value
         elif name not in others:
-            known = [*others, *fields]
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"available: {', '.join(known)}"
-            raise SettingsError(f"unknown entry '{name}'; {hint}")
+            raise SettingsError(f"unknown entry '{name}'{did_you_mean(name, [*others, *fields])}")
     return build(tree, values)
