@@ -19,7 +19,7 @@ from adp_path_follower.core.geometry import FloatArray, contiguous, wrap_angle
 from adp_path_follower.core.path.curve import Path, TurningBackError
 from adp_path_follower.core.path.points import chord_spline, distinct_points, joined
 from adp_path_follower.core.path.route import Route, Segment
-from adp_path_follower.core.path.smoothing import Interpolation, is_fair, smoothed
+from adp_path_follower.core.path.smoothing import Interpolation, bends, is_fair, smoothed
 from adp_path_follower.core.settings.groups import PathSettings
 
 _CUSP = math.cos(math.radians(135.0))  # of the turn from which on the motion is cut
@@ -82,7 +82,11 @@ def prepare(
         route = _turning_route(poses, useful[ends], turns, said, settings)
     else:
         route = _route(poses, said, settings)
-    return replace(route, goal_heading=_goal_heading(given, route, settings))
+    return replace(
+        route,
+        bend_of_poses=float(np.abs(bends(positions, False)).max(initial=0.0)),
+        goal_heading=_goal_heading(given, route, settings),
+    )
 
 
 def _turning_route(

@@ -1,6 +1,7 @@
 """Routes: the paths that a robot drives one after the other, forwards or backwards."""
 
 import hashlib
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,12 +33,18 @@ class Route:
     """
 
     segments: tuple[Segment, ...]
+    bend_of_poses: float = math.inf  # [1/m]: the most by which the poses turn, chord by chord
     goal_heading: float | None = None  # [rad] that the robot turns to at the end, None: it does not
 
     @property
     def length(self) -> float:
         """Return the length of all segments [m]."""
         return sum(segment.path.length for segment in self.segments)
+
+    @property
+    def bend(self) -> float:
+        """Return the highest curvature, without sign [1/m]."""
+        return max(max(map(abs, segment.path.curvature_range)) for segment in self.segments)
 
     @property
     def closed(self) -> bool:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -30,6 +31,9 @@ _FAITHFUL = 0.1  # share of the tolerance that the spline may leave a chord by, 
 _TIGHT = 0.2  # curvature times tolerance from which on a bend is worth a second round
 _FIRST_SHARE = 0.5  # of the tolerance, in the first of two rounds
 _MARGIN = 0.97  # of the tolerance: the rest is for the spline between samples
+_MODERATE = 0.96  # [rad]: the most that samples of a smooth curve turn at once
+_LIKE_CHORDS = 3.0  # ratio of two chords' lengths up to which they are alike, and ...
+_LIKE_BENDS = 0.3  # ... of two curvatures from which on
 _CHORD_PLACES = np.array([0.125, 0.3, 0.5, 0.7, 0.875])  # where a chord is compared with the spline
 
 
@@ -77,10 +81,55 @@ class Interpolation:
             farthest = np.maximum(farthest, np.hypot(gap[:, 0], gap[:, 1]))
         return farthest
 
+    @cached_property
+    def excess(self) -> FloatArray:
+        """Return the bulges where they are not the curve's own, else 0, shape (N - 1,) [m]."""
+        return np.where(_sampled(self.points, self.closed), 0.0, self.bulges)
+
+
+def bends(points: FloatArray, closed: bool) -> FloatArray:
+    """Return the turn from each chord to the next by their mean length [1/m], positive to the left.
+
+    One for each inner point of points (N, 2), and for the first of a closed path, which ends there.
+    """
+    chords = np.diff(points, axis=0)
+    before, after = (np.roll(chords, 1, axis=0), chords) if closed else (chords[:-1], chords[1:])
+    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    turn = np.arctan2(cross, (before * after).sum(axis=1))
+    return np.asarray(2.0 * turn / (np.hypot(*before.T) + np.hypot(*after.T)))
+
+
+def _sampled(points: FloatArray, closed: bool) -> np.ndarray:
+    """Return which chords of points (N, 2) are those of a smooth curve in samples, (N - 1,).
+
+    Three or more turns in a row to one side, all of them moderate, of like size and between chords
+    of like length, are a curve in samples; a corner turns at once, between straight pieces.
+    """
+    mode: Literal["wrap", "constant"] = "wrap" if closed else "constant"
+    lengths, found = np.hypot(*np.diff(points, axis=0).T), bends(points, closed)
+    if not len(found):
+        return np.zeros(len(lengths), dtype=bool)
+    first, second = (np.roll(lengths, 1), lengths) if closed else (lengths[:-1], lengths[1:])
+    alike = np.maximum(first, second) <= _LIKE_CHORDS * np.minimum(first, second)
+    alike &= 0.5 * np.abs(found) * (first + second) <= _MODERATE
+    bend = np.pad(np.where(alike, found, 0.0), 1, mode=mode)
+    left, here, right = bend[:-2], bend[1:-1], bend[2:]
+    most = np.maximum(left * np.sign(here), right * np.sign(here))  # of both neighbours
+    inside = (left * here > 0.0) & (right * here > 0.0)
+    around = np.pad(inside, 1, mode=mode)
+    in_a_row = inside | around[:-2] | around[2:]  # three of them
+    curved = alike & in_a_row & (here != 0.0) & (most >= _LIKE_BENDS * np.abs(here))
+    little = np.abs(here) <= _LIKE_BENDS * np.maximum(np.abs(left), np.abs(right))
+    gentle = curved | (alike & little)  # where a curve begins or ends
+    if closed:
+        return np.asarray(gentle & np.roll(gentle, -1) & (curved | np.roll(curved, -1)))
+    both = gentle[:-1] & gentle[1:] & (curved[:-1] | curved[1:])
+    return np.concatenate([curved[:1], both, curved[-1:]])
+
 
 def is_fair(through: Interpolation, tolerance: float) -> bool:
     """Return whether a spline is near its polyline, and smoothing would hardly straighten it."""
-    if through.bulges.max() > tolerance:
+    if through.excess.max() > tolerance:
         return False
     places, step = through.places(tolerance)
     along = _evaluated(through.spline, places)
@@ -108,7 +157,7 @@ def smoothed(through: Interpolation, tolerance: float) -> tuple[FloatArray, floa
     """
     points, parameter, closed = through.points, through.parameter, through.closed
     places, step = through.places(tolerance)
-    bulge = through.bulges
+    bulge = through.excess
     chord = np.clip(np.searchsorted(parameter, places, side="right") - 1, 0, len(bulge) - 1)
     faithful = (bulge <= _FAITHFUL * tolerance)[chord]
     straight = np.stack([np.interp(places, parameter, points[:, axis]) for axis in (0, 1)], axis=1)

@@ -18,6 +18,7 @@ from adp_path_follower.ros.runtime.conversions import wrong_frame
 from adp_path_follower.ros.runtime.frames import FrameError, FrameTransform
 
 _RETRY_PERIOD = 1.0  # [s], steady
+_BENDS_MORE = 3.0  # times its poses: a path that does is told of
 _CLOSING_TIME = 0.5  # [s], longer than most paths take
 
 
@@ -59,6 +60,9 @@ class PathAnswer:
         turns = sum(segment.turn_first for segment in self.route.segments)
         if turns:
             parts.append(f"{turns} turned to on the spot")
+        bend, asked = self.route.bend, self.route.bend_of_poses
+        if bend > _BENDS_MORE * asked:
+            parts.append(f"bends by up to {bend:.2g} 1/m, its poses by {asked:.2g}")
         if self.route.goal_heading is not None:
             parts.append(f"to heading {self.route.goal_heading:.2f} rad at the end")
         return f"{', '.join(parts)}, in frame '{self.followed_frame}'"
