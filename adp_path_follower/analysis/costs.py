@@ -1,7 +1,5 @@
 """J of a recorded run, of any controller, and the optimum J* from the same start."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The routes that a recorded robot was to follow, and when; its poses in their frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -28,22 +26,13 @@ _MOSTLY = 0.5  # share of the poses for which a transform must be known
 
 @dataclass(frozen=True)
 class Followed:
-    """The routes of a run.
+    """The routes of a run."""
 
-    Attributes:
-        routes: In the order in which they were in force.
-        in_force: Which of them was in force at each odometry, shape (N,).
-        poses: The odometry's x, y, theta in the frame of its route, shape (N, 3).
-        frames: Frames of the paths and of the odometry, as sentences have them.
-        notes: Sentences about what was left out or brought to another frame.
-
-    """
-
-    routes: tuple[Route, ...]
-    in_force: np.ndarray
-    poses: FloatArray
-    frames: tuple[str, str]
-    notes: tuple[str, ...]
+    routes: tuple[Route, ...]  # in the order in which they were in force
+    in_force: np.ndarray  # which of them was in force at each odometry, shape (N,)
+    poses: FloatArray  # the odometry's x, y, theta in the frame of its route, shape (N, 3)
+    frames: tuple[str, str]  # frames of the paths and of the odometry, as sentences have them
+    notes: tuple[str, ...]  # sentences about what was left out or brought to another frame
 
 
 def followed_routes(
@@ -51,16 +40,9 @@ def followed_routes(
 ) -> Followed:
     """Return the routes of a run; a path that came after the first odometry counts from there on.
 
-    Args:
-        bag: For messages, and for its transforms.
-        run: Its content.
-        odometry: The robot's poses.
-        clock: Translates arrival into the clock of the odometry.
-        path: Poses x, y, heading to compare with instead of the bag's paths, None for those.
-
-    Raises:
-        FileError: There is no path that can be followed, or none in a frame that can be compared.
-
+    `clock` translates arrival into the clock of the odometry. `path` has poses x, y, heading to
+    compare with instead of the bag's paths, None for those. Raises FileError if there is no path
+    that can be followed, or none in a frame that can be compared.
     """
     notes: list[str] = []
     found: Sequence[tuple[int, Route, str]]
@@ -117,13 +99,8 @@ def _recorded(bag: FilePath, run: Run, notes: list[str]) -> list[tuple[int, Rout
 def route_along(poses: FloatArray, tolerance: float = _AS_DRAWN) -> Route:
     """Return the route along the polyline of poses: another controller rounds it as it likes.
 
-    Args:
-        poses: x, y and heading of each, NaN without, shape (N, 3).
-        tolerance: How far from it the route may be [m].
-
-    Raises:
-        PathError: They make no path.
-
+    The poses are x, y and heading, NaN without, shape (N, 3); the route may be as far from them as
+    the tolerance [m]. Raises PathError if they make no path.
     """
     try:
         points, index = distinct_points(poses[:, :2])
@@ -141,12 +118,7 @@ def route_along(poses: FloatArray, tolerance: float = _AS_DRAWN) -> Route:
 
 
 def _moved(bag: FilePath, odometry: Timeline, own: str, frame: str, notes: list[str]) -> FloatArray:
-    """Return the poses of the odometry in the frame of a path, (N, 3).
-
-    Raises:
-        FileError: The bag does not say where one frame is in the other.
-
-    """
+    """Return the poses of the odometry in the frame of a path, (N, 3); FileError if unknown."""
     series = odometry.series
     times = series.arrival if odometry.by_arrival or odometry.cut.any() else series.stamp
     moved = read_transforms(bag).moved(

@@ -1,7 +1,5 @@
 """Numbers that describe a recorded run of any controller."""
 
-from __future__ import annotations
-
 import math
 import operator
 import re
@@ -44,20 +42,12 @@ _STEADY = (
 
 @dataclass(frozen=True)
 class Metric:
-    """Describes one number.
+    """Describes one number."""
 
-    Attributes:
-        name: In metrics.json and for --require.
-        unit: Empty for a plain number.
-        meaning: One line.
-        better: "low", "high", or empty where neither is.
-
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    better: str = "low"
+    name: str  # in metrics.json and for --require
+    unit: str  # empty for a plain number
+    meaning: str  # one line
+    better: str = "low"  # "low", "high", or empty where neither is
 
 
 def _statistics(name: str, what: str, unit: str) -> tuple[Metric, ...]:
@@ -269,20 +259,12 @@ _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
 
 @dataclass(frozen=True)
 class Requirement:
-    """A limit that a number has to keep.
+    """A limit that a number has to keep."""
 
-    Attributes:
-        text: As it was given.
-        name: Which number.
-        comparison: One of < <= > >=.
-        limit: In the number's unit.
-
-    """
-
-    text: str
-    name: str
-    comparison: str
-    limit: float
+    text: str  # as it was given
+    name: str  # which number
+    comparison: str  # one of < <= > >=
+    limit: float  # in the number's unit
 
     def met(self, values: Mapping[str, float]) -> bool:
         """Return whether a run keeps it; a number that is not known does not."""
@@ -290,12 +272,7 @@ class Requirement:
 
 
 def parse_requirement(text: str) -> Requirement:
-    """Return the requirement that a text like "cross_track_rms<0.02" states.
-
-    Raises:
-        AdpError: It is not of this form, or names a number that there is not.
-
-    """
+    """Return the requirement of a text like "cross_track_rms<0.02"; AdpError if it is invalid."""
     match = re.fullmatch(r"\s*([\w. ]+?)\s*(<=|>=|<|>)\s*(\S+)\s*", text)
     if match is None:
         raise AdpError(f"--require '{text}' is not NAME<LIMIT, as in 'cross_track_rms<0.02'")

@@ -1,7 +1,5 @@
 """How far a robot drove, from odometry that may be noisy, sparse, or jump."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A recorded run on one time axis, with its place beside the path."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -32,62 +30,37 @@ _RECENT = 0.5  # [s]: an older target is not the robot's any more
 
 @dataclass(frozen=True)
 class Timed:
-    """Rows of numbers over time.
+    """Rows of numbers over time."""
 
-    Attributes:
-        time: Since the robot was first told to move [s], shape (N,).
-        values: Shape (N, M).
-        labels: Names of the columns, where they have some.
-
-    """
-
-    time: FloatArray
-    values: FloatArray
-    labels: tuple[str, ...] = ()
+    time: FloatArray  # since the robot was first told to move [s], shape (N,)
+    values: FloatArray  # shape (N, M)
+    labels: tuple[str, ...] = ()  # names of the columns, where they have some
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The data that the analysis of a bag uses.
+    """The data that the analysis of a bag uses."""
 
-    Attributes:
-        run: Content of the bag.
-        clock: Translates arrival into stamps.
-        timelines: "odom" and "cmd_vel" -> their messages, with times that can be trusted.
-        frames: Frames of the paths and of the odometry.
-        motion: The steps from each odometry to the next.
-        start: Stamp of the first odometry while the robot was told to move: time 0 [ns].
-        end: Time at which it was last told to move [s].
-        odometry: x, y, theta in the frame of the path, v, w.
-        projection: The odometry beside the path that was in force; in reverse, that of the robot
-            turned round.
-        segments: The segments of the paths, in order.
-        segment_of_pose: Which of them was in force at each odometry, shape (N,).
-        commands: v, w; no rows where no commands were recorded.
-        latency: From the odometry that a command answers to the command, by arrival [s]; no rows
-            where the recorder's clock does not tell.
-        learner: The topics of the learner and its target that are in the bag.
-        settings: The controller's, where the bag says them.
-        notes: Sentences about data that could not be used.
-
-    """
-
-    run: Run
-    clock: Clock
+    run: Run  # content of the bag
+    clock: Clock  # translates arrival into stamps
+    # "odom" and "cmd_vel" -> their messages, with times that can be trusted.
     timelines: dict[str, Timeline]
-    frames: tuple[str, str]
-    motion: Motion
-    start: int
-    end: float
-    odometry: Timed
+    frames: tuple[str, str]  # frames of the paths and of the odometry
+    motion: Motion  # the steps from each odometry to the next
+    start: int  # stamp of the first odometry while the robot was told to move: time 0 [ns]
+    end: float  # time at which it was last told to move [s]
+    odometry: Timed  # x, y, theta in the frame of the path, v, w
+    # The odometry beside the path that was in force; in reverse, that of the robot turned round.
     projection: Projection
-    segments: tuple[Segment, ...]
-    segment_of_pose: np.ndarray
-    commands: Timed
+    segments: tuple[Segment, ...]  # the segments of the paths, in order
+    segment_of_pose: np.ndarray  # which of them was in force at each odometry, shape (N,)
+    commands: Timed  # v, w; no rows where no commands were recorded
+    # From the odometry that a command answers to the command, by arrival [s]; no rows where the
+    # recorder's clock does not tell.
     latency: FloatArray
-    learner: dict[str, Timed]
-    settings: Settings | None
-    notes: tuple[str, ...]
+    learner: dict[str, Timed]  # the topics of the learner and its target that are in the bag
+    settings: Settings | None  # the controller's, where the bag says them
+    notes: tuple[str, ...]  # sentences about data that could not be used
 
     def seconds(self, arrival: int) -> float:
         """Return the time [s] of an arrival [ns]."""
@@ -102,14 +75,8 @@ class Drive:
 def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
     """Return the drive that a run holds.
 
-    Args:
-        bag: For messages, and for its transforms.
-        run: Its content.
-        path: Poses x, y, heading of a path to compare with instead of the bag's, (N, 3).
-
-    Raises:
-        FileError: There is no odometry or no path that can be followed.
-
+    `path` has poses x, y, heading (N, 3) of a path to compare with instead of the bag's. Raises
+    FileError if there is no odometry or no path that can be followed.
     """
     line = _odometry(bag, run)
     odometry = line.series

@@ -5,8 +5,6 @@ go back as a simulator is reset, or come out of order. Each of these is found he
 topic, and whatever is done about it is said in a note.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,26 +27,16 @@ _GREATEST = 1e8  # [m, m/s, rad/s]
 
 @dataclass(frozen=True)
 class Timeline:
-    """The messages of a topic in order of time.
+    """The messages of a topic in order of time."""
 
-    Attributes:
-        series: The messages, of which no two have one time.
-        cut: Where time was set back or ahead since the message before, shape (N,).
-        all_stamps: Times of all sound messages in order of arrival, repeated ones too [ns].
-        all_arrivals: Their arrival [ns].
-        used: How many messages count: all but what is not finite, or shares a time with another.
-        by_arrival: Whether the stamps are of no use.
-        notes: Sentences about what is wrong.
-
-    """
-
-    series: Series
-    cut: np.ndarray
+    series: Series  # the messages, of which no two have one time
+    cut: np.ndarray  # where time was set back or ahead since the message before, shape (N,)
+    # Times of all sound messages in order of arrival, repeated ones too [ns].
     all_stamps: np.ndarray
-    all_arrivals: np.ndarray
-    used: int
-    by_arrival: bool = False
-    notes: tuple[str, ...] = ()
+    all_arrivals: np.ndarray  # their arrival [ns]
+    used: int  # how many messages count: all but what is not finite, or shares a time with another
+    by_arrival: bool = False  # whether the stamps are of no use
+    notes: tuple[str, ...] = ()  # sentences about what is wrong
 
 
 class Clock:
@@ -75,13 +63,9 @@ class Clock:
 
 
 def timeline(series: Series, name: str, clock: Clock | None = None) -> Timeline:
-    """Return messages with times that can be trusted, in their order.
+    """Return messages, given in order of arrival, with times that can be trusted, in their order.
 
-    Args:
-        series: The messages in order of arrival.
-        name: The topic's name, for notes.
-        clock: That of the odometry; None for the odometry itself.
-
+    The topic's name is for notes; `clock` is that of the odometry, None for the odometry itself.
     """
     sound = _sound(series.values)
     notes = []

@@ -1,7 +1,5 @@
 """How far the numbers of a run can be trusted: what was used, what was left out, and why."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass

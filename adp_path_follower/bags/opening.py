@@ -1,7 +1,5 @@
 """The bag that a name means, made readable where it was not closed."""
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 import sqlite3
@@ -18,14 +16,9 @@ _FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")
 
 @contextlib.contextmanager
 def opened_bag(bag: FilePath) -> Iterator[tuple[Reader, list[str]]]:
-    """Yield a reader of a bag, and notes about it.
+    """Yield a reader of a bag, and notes about it; FileError if it is no bag or cannot be read.
 
-    Args:
-        bag: A rosbag2 directory, one of its files, or a directory with one bag in it.
-
-    Raises:
-        FileError: It is no bag, or cannot be read.
-
+    The bag is a rosbag2 directory, one of its files, or a directory with one bag in it.
     """
     found = _bag_in(bag)
     notes = [] if found == bag else [f"the bag in {bag} is {found.name}: it was read"]
@@ -49,12 +42,7 @@ def opened_bag(bag: FilePath) -> Iterator[tuple[Reader, list[str]]]:
 
 
 def _bag_in(bag: FilePath) -> FilePath:
-    """Return the bag that is meant; say what is there instead, before the library does.
-
-    Raises:
-        FileError: It is no bag.
-
-    """
+    """Return the bag that is meant; FileError, before the library's, if it is none."""
     if not bag.exists():
         raise FileError(f"bag {bag} does not exist")
     if bag.suffix in _PACKED and bag.is_file():

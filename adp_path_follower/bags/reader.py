@@ -1,7 +1,5 @@
 """Read the bag of a run into arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
@@ -26,22 +24,13 @@ _NEEDED = ("odom", "path")  # without which there is nothing to analyse or repla
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A status of one node in /diagnostics that differs from the one before.
+    """A status of one node in /diagnostics that differs from the one before."""
 
-    Attributes:
-        time: Arrival [ns].
-        name: Who said it.
-        level: 0 is fine, 1 a warning, 2 an error, 3 stale.
-        message: Text of the status.
-        state: State of the controller, empty from others.
-
-    """
-
-    time: int
-    name: str
-    level: int
-    message: str
-    state: str
+    time: int  # arrival [ns]
+    name: str  # who said it
+    level: int  # 0 is fine, 1 a warning, 2 an error, 3 stale
+    message: str  # text of the status
+    state: str  # state of the controller, empty from others
 
 
 @dataclass(frozen=True)

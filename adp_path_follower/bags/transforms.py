@@ -1,7 +1,5 @@
 """The transforms between frames that a bag holds in /tf and /tf_static."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
@@ -105,12 +103,7 @@ def frame_name(name: str) -> str:
 
 
 def read_transforms(bag: FilePath) -> Transforms:
-    """Return the transforms of a bag; none where it has no /tf.
-
-    Raises:
-        FileError: The bag cannot be read.
-
-    """
+    """Return the transforms of a bag, none without /tf; FileError if it cannot be read."""
     found, store = Transforms(), get_typestore(Stores.ROS2_JAZZY)
     with opened_bag(bag) as (reader, _):
         wanted = [

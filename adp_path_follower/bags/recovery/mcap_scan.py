@@ -67,12 +67,9 @@ class Chunk:
 
 
 def read_chunk(body: bytes, length: int) -> Chunk | None:
-    """Return a chunk, or None if the lengths in it disagree.
+    """Return the chunk in a record's body or its beginning, None if the lengths in it disagree.
 
-    Args:
-        body: The record's body, or the beginning of it.
-        length: The length that its frame declares.
-
+    `length` is the one that the record's frame declares.
     """
     if len(body) < CHUNK_HEAD.size:
         return None
@@ -91,13 +88,9 @@ def read_chunk(body: bytes, length: int) -> Chunk | None:
 def unpack_chunk(chunk: Chunk) -> bytes | None:
     """Return the content of a chunk, or as much as there is of a torn one.
 
-    Returns:
-        None if it is packed in an unknown way, longer than `MOST_BYTES`, or not what it was:
-        one cannot tell then which part of it has changed.
-
-    Raises:
-        FileError: The package that unpacks it is not installed.
-
+    Returns None if it is packed in an unknown way, longer than `MOST_BYTES`, or not what it was:
+    one cannot tell then which part of it has changed. Raises FileError if the package that unpacks
+    it is not installed.
     """
     if chunk.size > MOST_BYTES or chunk.compression not in ("", "lz4", "zstd"):
         return None
@@ -168,14 +161,10 @@ class RecordScanner:
     def __init__(
         self, stream: BinaryIO, size: int, judge: Judge, leave: Callable[[int, int], None]
     ) -> None:
-        """Prepare a walk.
+        """Prepare a walk over the first `size` bytes of a stream, which must be seekable.
 
-        Args:
-            stream: Where to read; it must be seekable.
-            size: How much of it to read [bytes].
-            judge: Knows the channels and their types.
-            leave: Is told offset and length of each stretch that cannot be read.
-
+        `judge` knows the channels and their types; `leave` gets offset and length of each stretch
+        that cannot be read.
         """
         self._stream = stream
         self._size = size

@@ -66,15 +66,7 @@ def read_torn_metadata(file: FilePath) -> TornMetadata:
 
 
 def sound_qos_profiles(profiles: object) -> list[dict[str, Any]] | None:
-    """Return QoS profiles as ROS 2 Jazzy spells them.
-
-    Args:
-        profiles: The profiles or their YAML text.
-
-    Returns:
-        None if they are no QoS profiles.
-
-    """
+    """Return QoS profiles, or those in a YAML text, as Jazzy spells them; None if unsound."""
     if isinstance(profiles, str):
         try:
             profiles = parse_yaml(profiles) if len(profiles) <= _MOST_BYTES else None

@@ -1,7 +1,5 @@
 """The result of one control step, as telemetry, replay and simulation take it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from adp_path_follower.core.control.interface import ControlOutput

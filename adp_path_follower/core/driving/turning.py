@@ -19,13 +19,8 @@ def turning_command(
 ) -> FloatArray | None:
     """Return [v, w] that turns a robot at rest to a heading [rad], None when it has it.
 
-    Args:
-        heading: The heading to turn to, the shorter way round.
-        pose: x, y, theta of the robot, shape (3,).
-        time: When the command is sent [ns].
-        actuation: The commands before, to which this one is added.
-        settings: Give limits and tolerance.
-
+    It turns the shorter way round. The pose is x, y, theta (3,), the time [ns] that at which the
+    command is sent; it is added to the commands of `actuation`.
     """
     motion, limits = settings.motion, settings.limits
     elapsed = 0.0 if actuation.time is None else 1e-9 * (time - actuation.time)

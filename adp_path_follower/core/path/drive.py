@@ -6,8 +6,6 @@ the place moves on about as far as the robot does. Dynamic programming over the 
 distance finds it; between two anchors of the drive the nearest place near both is taken.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -41,32 +39,19 @@ _BLOCK = 2_000_000  # distances computed at once
 
 @dataclass(frozen=True)
 class _Anchors:
-    """Poses of a drive that are assigned to the path as a whole.
+    """Poses of a drive that are assigned to the path as a whole."""
 
-    Attributes:
-        index: Number of each in the drive, shape (A,).
-        way: Distance from the anchor before [m], shape (A,).
-        carried: Whether the robot was put elsewhere since the anchor before, shape (A,).
-
-    """
-
-    index: np.ndarray
-    way: FloatArray
-    carried: np.ndarray
+    index: np.ndarray  # number of each in the drive, shape (A,)
+    way: FloatArray  # distance from the anchor before [m], shape (A,)
+    carried: np.ndarray  # whether the robot was put elsewhere since the anchor before, shape (A,)
 
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Places that one anchor may have.
+    """Places that one anchor may have."""
 
-    Attributes:
-        arc_length: Shape (K,) [m], on a closed path within the first lap.
-        cost: Squared distance and heading error, shape (K,) [m²].
-
-    """
-
-    arc_length: FloatArray
-    cost: FloatArray
+    arc_length: FloatArray  # shape (K,) [m], on a closed path within the first lap
+    cost: FloatArray  # squared distance and heading error, shape (K,) [m²]
 
 
 def project(

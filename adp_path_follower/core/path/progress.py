@@ -5,8 +5,6 @@ earliest place among those that the pose cannot tell apart. After a stop, and on
 the former one with other ends, following goes on where it was.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -34,16 +32,10 @@ _NEIGHBOURS = 5  # samples to either side
 
 @dataclass(frozen=True)
 class Place:
-    """A place of a route.
+    """A place of a route."""
 
-    Attributes:
-        segment: Number of the segment.
-        arc_length: s_p on it [m].
-
-    """
-
-    segment: int = 0
-    arc_length: float = 0.0
+    segment: int = 0  # number of the segment
+    arc_length: float = 0.0  # s_p on it [m]
 
     def along(self, route: Route) -> float:
         """Return the arc length along the whole route [m], on a closed one within a lap."""
@@ -55,49 +47,27 @@ class Place:
 
 @dataclass(frozen=True)
 class Left:
-    """Where following ended.
+    """Where following ended."""
 
-    Attributes:
-        route: The route that was followed.
-        place: Where the virtual target was.
-        pose: Where the robot was, shape (3,).
-        done: Whether that was the end of the route.
-
-    """
-
-    route: Route
-    place: Place
-    pose: FloatArray
-    done: bool
+    route: Route  # the route that was followed
+    place: Place  # where the virtual target was
+    pose: FloatArray  # where the robot was, shape (3,)
+    done: bool  # whether that was the end of the route
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A place of least distance in its neighbourhood.
+    """A place of least distance in its neighbourhood."""
 
-    Attributes:
-        place: The place.
-        distance: From the robot [m].
-        turn: Heading error there, without sign [rad].
-
-    """
-
-    place: Place
-    distance: float
-    turn: float
+    place: Place  # the place
+    distance: float  # from the robot [m]
+    turn: float  # heading error there, without sign [rad]
 
 
 def new_start(route: Route, pose: FloatArray, controller: ControllerSettings) -> Place:
-    """Return where a new route begins, by `path_start`.
+    """Return where a new route begins for a robot's pose x, y, theta (3,), by `path_start`.
 
-    Args:
-        route: The route.
-        pose: x, y, theta of the robot, shape (3,).
-        controller: Says how to choose.
-
-    Raises:
-        SettingsError: `start_arc_length` is beyond the end.
-
+    Raises SettingsError if `start_arc_length` is beyond the end.
     """
     if controller.path_start == "beginning":
         return Place()
@@ -124,16 +94,11 @@ def _place_at(route: Route, arc_length: float) -> Place:
 
 
 def first_place(route: Route, pose: FloatArray) -> Place:
-    """Return the earliest place of a route among those that a robot's pose cannot tell apart.
+    """Return the earliest place of a route among those that a pose (3,) cannot tell apart.
 
     Candidates are the places with the least distance in their neighbourhood. A later one is taken
     only where it is clearly nearer, or where the heading speaks against the earlier ones; on an
     open route not even then, if the robot is at the first pose.
-
-    Args:
-        route: The route.
-        pose: x, y, theta of the robot, shape (3,).
-
     """
     found = _candidates(route, pose)
     least = min(candidate.distance for candidate in found)
@@ -150,14 +115,8 @@ def first_place(route: Route, pose: FloatArray) -> Place:
 def next_place(route: Route, pose: FloatArray, left: Left) -> Place | None:
     """Return where following goes on after it ended, None if the route is another one.
 
-    That is near the last place. A robot that was carried away is searched for on the whole route,
-    unless it is on the path ahead or behind as far as it moved.
-
-    Args:
-        route: The route.
-        pose: x, y, theta of the robot now, shape (3,).
-        left: Where following ended.
-
+    That is near the last place (`left`). A robot that was carried away is searched for on the whole
+    route by its pose (3,), unless it is on the path ahead or behind as far as it moved.
     """
     last = _carried_over(left, route)
     if last is None:
