@@ -90,6 +90,15 @@ class Driver:
         self._turn: float | None = None  # [rad]: the heading of a turn on the spot
         self._faces_goal = False  # after the turn at the end of the route
         self._to_learn = False  # from the last step
+        self._tell_of_speed()
+
+    def _tell_of_speed(self) -> None:
+        speed, limit = self.settings.target.desired_speed, self.settings.limits.max_linear_vel
+        if speed > limit:
+            self._tell(
+                f"'desired_speed' is {speed:g} m/s, but 'max_linear_vel' {limit:g}: the robot "
+                f"drives at {limit:g} m/s"
+            )
 
     @property
     def follower(self) -> PathFollower | None:
@@ -178,7 +187,10 @@ class Driver:
 
     def take_over(self, change: Change) -> None:
         """Go on with a change that was prepared since the last step."""
+        before = self.settings
         self.settings, self._follower = change.settings, change.follower
+        if (before.target, before.limits) != (change.settings.target, change.settings.limits):
+            self._tell_of_speed()
         if self._follower is not None:
             self._follower.settings = self._of_segment(change.settings)
 

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
 from adp_path_follower.core.settings.groups import ControllerSettings, Settings
 
@@ -12,6 +14,8 @@ _FASTEST = 1e4  # [m/s], [rad/s]
 _FASTER = 3.0  # times the limits of the command, and ...
 _FASTER_BY = (1.0, 3.0)  # ... [m/s, rad/s] more: no base overshoots its commands like that
 _HEADING_TOLERANCE = 1.0  # [rad] beyond what the angular velocity explains
+_STEADY, _STEADY_STEPS = 0.05, 2  # [m] and messages of a motion without velocities
+_SMOOTHING = 0.05  # [s] of velocities from poses
 _MEMORY = 0.5  # [s] over which motion that velocities do not explain adds up
 
 
@@ -169,6 +173,58 @@ class OdometryCheck:
             f"odometry has moved by {math.hypot(*drift):.2f} m within about {_MEMORY:g} s that its "
             "velocity does not explain"
         )
+
+
+class MissingTwist:
+    """Takes the velocity of a robot from its poses, where odometry has none.
+
+    Odometry has none if v and w are exactly zero in every message, while the pose moves steadily.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a message."""
+        self.missing = False  # whether odometry was found to have no velocity
+        self._given = False  # whether any message had one
+        self._first: tuple[float, float] | None = None  # [m]: where a steady motion began
+        self._steps = 0  # of it
+        self._last: tuple[int, FloatArray] | None = None
+        self._twist: FloatArray = np.zeros(2)
+
+    def twist(
+        self, stamp: int, pose: FloatArray, twist: FloatArray, settings: Settings
+    ) -> FloatArray:
+        """Return v [m/s] and w [rad/s] of a message, shape (2,), those given where there are any.
+
+        Args:
+            stamp: Its time [ns].
+            pose: x [m], y [m], theta [rad], shape (3,).
+            twist: The velocity given, shape (2,).
+            settings: Give the highest speed that a steady motion has, and the longest gap in it.
+
+        """
+        if self._given or twist.any():
+            self._given, self.missing = True, False
+            return twist
+        last, self._last = self._last, (stamp, pose)
+        elapsed = 0.0 if last is None else (stamp - last[0]) / _NANOSECONDS
+        if last is None or not 0.0 < elapsed <= settings.controller.odom_timeout:
+            self._first, self._steps, self._twist = None, 0, np.zeros(2)
+            return twist
+        moved = pose - last[1]
+        turned = float(wrap_angle(moved[2]))
+        heading = float(last[1][2]) + 0.5 * turned
+        ahead = float(moved[0]) * math.cos(heading) + float(moved[1]) * math.sin(heading)
+        kept = math.exp(-elapsed / _SMOOTHING)
+        self._twist = kept * self._twist + (1.0 - kept) / elapsed * np.array([ahead, turned])
+        fastest = _FASTER * float(settings.limits.upper[0]) + _FASTER_BY[0]
+        if math.hypot(moved[0], moved[1]) > fastest * elapsed:
+            self._first, self._steps, self._twist = None, 0, np.zeros(2)
+            return twist  # it jumped
+        self._first = self._first or (float(last[1][0]), float(last[1][1]))
+        self._steps += 1
+        if self._steps >= _STEADY_STEPS and math.dist(self._first, pose[:2]) > _STEADY:
+            self.missing = True
+        return self._twist if self.missing else twist
 
 
 def stamp_problem(now: int, stamp: int, controller: ControllerSettings) -> str:

@@ -1,12 +1,17 @@
 """The topic `odom`: what comes in is read, checked, and taken or rejected."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
-from adp_path_follower.core.safety.odometry_check import OdometryCheck, OdometryProblem
+from adp_path_follower.core.safety.odometry_check import (
+    MissingTwist,
+    OdometryCheck,
+    OdometryProblem,
+)
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.ros.runtime.conversions import Measurement, MessageError, measurement_of
 
@@ -38,7 +43,7 @@ class OdometryInput:
         self.measurement: Measurement | None = None
         self._node, self._settings = node, settings
         self._take, self._refuse = take, refuse
-        self._check = OdometryCheck()
+        self._check, self._missing_twist = OdometryCheck(), MissingTwist()
         self._subscription = node.create_subscription(
             Odometry, "odom", self._receive, qos_profile_sensor_data, raw=True
         )
@@ -53,6 +58,16 @@ class OdometryInput:
         except MessageError as error:
             self._refuse(OdometryProblem(str(error)))
             return
+        told = self._missing_twist.missing
+        found = replace(
+            found,
+            twist=self._missing_twist.twist(found.stamp, found.pose, found.twist, self._settings()),
+        )
+        if self._missing_twist.missing and not told:
+            self._node.get_logger().warning(
+                "odometry has no velocity: its twist is zero while its pose moves, so velocities "
+                "are taken from the poses; let its source fill in twist"
+            )
         now = int(self._node.get_clock().now().nanoseconds)
         problem = self._check.problem(
             *(now, found.stamp, found.pose, found.twist, found.child_frame, self._settings())

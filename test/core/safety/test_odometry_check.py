@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.geometry import advance_pose, wrap_angle
-from adp_path_follower.core.safety.odometry_check import OdometryCheck
+from adp_path_follower.core.safety.odometry_check import MissingTwist, OdometryCheck
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 
@@ -123,3 +123,37 @@ def test_a_robot_may_be_as_fast_as_it_once_was_allowed():
     told(check, 10.0, (0, 0, 0), (20.0, 0.0))
     slower = build(Settings, {**FAST, "max_linear_vel": 0.5})
     assert told(check, 10.02, (0.4, 0, 0), (20.0, 0.0), tuning=slower) == ""
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    period=st.sampled_from([0.01, 1.0 / 30.0, 0.1]),
+    v=st.floats(0.2, 1.8),
+    w=st.floats(-1.0, 1.0),
+    noise=st.floats(0.0, 0.001),
+)
+def test_a_velocity_that_is_missing_is_taken_from_the_poses(period, v, w, noise):
+    missing, check, random = MissingTwist(), OdometryCheck(), np.random.default_rng(0)
+    pose, found = np.zeros(3), []
+    for step in range(round(3.0 / period)):
+        stamp = round((10.0 + step * period) * SECOND)
+        measured = pose + random.uniform(-noise, noise, 3)
+        measured[2] = wrap_angle(measured[2])
+        found.append(missing.twist(stamp, measured, STILL, TUNING))
+        assert told(check, 1e-9 * stamp, measured, found[-1]) == ""
+        pose = advance_pose(pose, v, w, period)
+    assert missing.missing
+    later = np.array(found[len(found) // 2 :])
+    np.testing.assert_allclose(later.mean(axis=0), [v, w], atol=0.02)
+    sound = np.array([0.3, 0.1])
+    assert missing.twist(10**12, pose, sound, TUNING) is sound
+    assert not missing.missing  # for good: a source that has velocities means its zeros
+    assert missing.twist(10**12 + SECOND // 10, pose + 0.2, STILL, TUNING) is STILL
+
+
+def test_a_robot_at_rest_and_one_that_jumps_have_no_other_velocity_than_theirs():
+    for step_of in (lambda step: 0.0, lambda step: 3.0 * (step > 5)):
+        missing = MissingTwist()
+        for step in range(50):
+            pose = np.array([step_of(step), 0.0, 0.0])
+            assert missing.twist(SECOND + step * SECOND // 100, pose, STILL, TUNING) is STILL

@@ -7,10 +7,12 @@ import math
 import numpy as np
 import pytest
 from field_routes import case
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
+from adp_path_follower.core.geometry import advance_pose
 from adp_path_follower.study.replay.replay import replay
 from folders import CASES
 
@@ -120,3 +122,26 @@ def test_a_stopped_robot_goes_on_where_it_stopped_and_replays(peer, start, tmp_p
     again = replay(read_run(tmp_path / "bag"))
     assert again.answered.sum() > 200
     assert again.identical[again.answered].all()
+
+
+def test_odometry_without_velocities_drives_as_well(peer, start):
+    """As of cameras: a pose thirty times a second, and a twist of zeros."""
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    controller = start("controller", desired_speed=1.5, learning=False)
+    pose = np.array([0.0, 0.1, 0.0])
+
+    def send() -> None:
+        nonlocal pose
+        if commands:
+            twist = commands[-1].twist
+            pose = advance_pose(pose, twist.linear.x, twist.angular.z, 1.0 / 30.0)
+        peer.send_odometry(tuple(pose.tolist()))
+
+    peer.until_matched(peer.odometry, peer.path)
+    peer.node.create_timer(1.0 / 30.0, send)
+    peer.send_path()
+    peer.until(lambda: pose[0] > 3.0, "three metres")
+    text = controller.output()
+    assert text.count("odometry has no velocity") == 1
+    assert "velocity does not explain" not in text
+    assert "'desired_speed' is 1.5 m/s, but 'max_linear_vel' 1" in text
