@@ -6,7 +6,6 @@ import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path as FilePath
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -58,12 +57,7 @@ class OutputFolder:
         """Return the folder, which no other command may use until the block ends."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Leave the folder to others."""
         self._lock.close()
 
