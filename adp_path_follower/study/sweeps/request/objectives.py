@@ -27,14 +27,6 @@ def cost_column(columns: Columns) -> np.ndarray:
     return np.asarray(columns["cost_ratio" if known else "cost"], dtype=float)
 
 
-def _mean(name: str) -> Callable[[Columns], float]:
-    return lambda columns: float(np.mean(columns[name]))
-
-
-def _largest(name: str) -> Callable[[Columns], float]:
-    return lambda columns: float(np.max(columns[name]))
-
-
 OBJECTIVES = {
     item.name: item
     for item in (
@@ -50,7 +42,12 @@ OBJECTIVES = {
             "",
             lambda columns: float(np.max(cost_column(columns))),
         ),
-        Objective("effort", "mean ∫ uᵀRu of the runs", "", _mean("effort")),
+        Objective(
+            "effort",
+            "mean ∫ uᵀRu of the runs",
+            "",
+            lambda columns: float(np.mean(columns["effort"])),
+        ),
         Objective(
             "cross_track",
             "RMS distance from the path after the transient, over all runs",
@@ -61,10 +58,13 @@ OBJECTIVES = {
             "worst_cross_track",
             "greatest distance from the path after the transient, of any run",
             "m",
-            _largest("cross_track_max"),
+            lambda columns: float(np.max(columns["cross_track_max"])),
         ),
         Objective(
-            "settling_time", "longest settling time of any run", "s", _largest("settling_time")
+            "settling_time",
+            "longest settling time of any run",
+            "s",
+            lambda columns: float(np.max(columns["settling_time"])),
         ),
     )
 }
