@@ -95,7 +95,6 @@ def read_fault_script(name: str) -> FaultScript:
 
 
 def _found(name: str) -> FilePath:
-    """Return the file of a script."""
     file = FilePath(name)
     if file.suffix or file.exists():
         return file

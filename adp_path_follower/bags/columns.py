@@ -76,7 +76,6 @@ class Columns:
         return found, self._decoder.broken, self._other_width
 
     def _decode(self) -> None:
-        """Decode what waits."""
         if not self._waiting:
             return
         blocks = [
@@ -134,7 +133,6 @@ def _usual_width(blocks: list[FloatArray]) -> int:
 
 
 def _resize(rows: int, *arrays: np.ndarray) -> None:
-    """Resize arrays in place to a number of rows."""
     for array in arrays:
         shape: tuple[int, ...] = array.shape
         array.resize((rows, *shape[1:]), refcheck=False)

@@ -127,7 +127,6 @@ def _missed(analyses: list[BagAnalysis], limits: list[Requirement]) -> list[str]
 
 
 def _numbers(analyses: list[BagAnalysis], limits: list[Requirement]) -> dict[str, Any]:
-    """Return what metrics.json holds."""
     return {
         "bags": [
             {

@@ -201,7 +201,6 @@ def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> N
 
 
 def _numbers(found: Comparison) -> dict[str, Any]:
-    """Return what compare.json holds of one path."""
     quantiles = {"cost_ratio_median": 0.5, "cost_ratio_p95": 0.95, "cost_ratio_max": 1.0}
     names = ["cost", "failed", "settling_time", "effort", "cross_track_rms", "cross_track_max"]
     return {

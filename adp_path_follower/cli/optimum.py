@@ -152,7 +152,6 @@ def _write(
     npz_file: FilePath | None,
     figure_file: FilePath | None,
 ) -> None:
-    """Write what was asked for."""
     if json_file is not None:
         write_json(json_file, {"optima": [_entry(row) for row in rows]})
     if npz_file is not None:
@@ -165,7 +164,6 @@ def _write(
 
 
 def _table(rows: list[_Row], check: bool) -> str:
-    """Return the optima as a table."""
     lines = [
         "   s [m]   y [m]  θ [rad]            J*   by mesh  by horizon  intervals"
         + ("   by costates" if check else "")
@@ -190,7 +188,6 @@ def _table(rows: list[_Row], check: bool) -> str:
 
 
 def _entry(row: _Row) -> dict[str, object]:
-    """Return one start as JSON has it."""
     if row.optimum is None:
         return {"start": row.start.tolist(), "converged": False, "problem": row.problem}
     found = row.optimum

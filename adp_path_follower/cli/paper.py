@@ -42,7 +42,6 @@ def paper(directory: FilePath) -> None:
 
 
 def _numbers(found: Reproduction) -> dict[str, Any]:
-    """Return what paper.json holds."""
     theorem = found.theorem
     return {
         "optimal_cost": found.optimum.cost,
@@ -79,7 +78,6 @@ def _numbers(found: Reproduction) -> dict[str, Any]:
 
 
 def _text(numbers: dict[str, Any]) -> str:
-    """Return the numbers as people read them."""
     lines = [
         f"optimum J* = {numbers['optimal_cost']:.6f}; 40 s from the paper's start:",
         f"  {'':<30}{'J':>10}{'J/J*':>9}{'RMS e':>9}{'RMS u':>9}",

@@ -129,7 +129,6 @@ def simulate(
 
 
 def _speed(simulated: float, elapsed: float) -> str:
-    """Return how fast so many seconds were simulated."""
     each = simulated / elapsed
     return f"simulated {simulated:g} s in {elapsed:.1f} s: {each:.0f} simulated seconds per second"
 
@@ -149,7 +148,6 @@ def _starting_from(file: FilePath, settings: Settings) -> ControllerFactory:
 
 
 def _runs(result: SimulationResult) -> list[dict[str, object]]:
-    """Return the runs as JSON has them."""
     columns = {
         "start": result.starts,
         "cost": result.cost,

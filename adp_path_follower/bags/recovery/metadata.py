@@ -101,7 +101,6 @@ def _mapping(content: object) -> Mapping[Any, Any]:
 
 
 def _texts(content: Mapping[Any, Any], keys: tuple[Any, ...]) -> dict[str, str]:
-    """Return the entries that are texts."""
     return {
         key: content[key]
         for key in keys

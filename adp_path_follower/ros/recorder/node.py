@@ -146,7 +146,6 @@ class RecorderNode(Ending, Node):
             self._subscribe(topic, number, kind, publishers)
 
     def _record(self, number: int, topic: str, message: bytes, info: dict[str, int]) -> None:
-        """Write one serialised message."""
         self._last_message = steady.monotonic()
         if number in self._silent:
             self._silent.discard(number)
@@ -188,7 +187,6 @@ class RecorderNode(Ending, Node):
         self._publish_status()
 
     def _publish_status(self) -> None:
-        """Say how the recording goes."""
         failed = bool(self._cause)
         values = {
             "bag": str(self._bag.directory),

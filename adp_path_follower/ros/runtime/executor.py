@@ -89,7 +89,6 @@ class DirectExecutor(SingleThreadedExecutor):
         super().spin_once(0.0)
 
     def _make_wait_set(self) -> None:
-        """Make a wait set for what the node has."""
         node = self._node
         self._waitables = [*node.waitables]
         self._timers = _by_pointer(node.timers)

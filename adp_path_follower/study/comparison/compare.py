@@ -194,7 +194,6 @@ def _optima(
 def _notes(
     starts: FloatArray, optima: Sequence[Optimum | None], duration: float
 ) -> tuple[str, ...]:
-    """Return sentences about the optima that were found."""
     notes = []
     for start, optimum in zip(starts, optima, strict=True):
         if optimum is not None and optimum.has_local_optima:

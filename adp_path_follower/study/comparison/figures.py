@@ -108,7 +108,6 @@ def _tracking(outcome: Outcome) -> float:
 
 
 def _cost_per_step(found: Comparison) -> Figure:
-    """Draw loss against the computing time of a control step."""
     figure = Figure(figsize=(7.0, 4.5))
     axes: Axes = figure.subplots()
     ranked = sorted(found.outcomes, key=lambda outcome: outcome.quantile(0.95))

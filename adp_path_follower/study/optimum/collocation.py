@@ -206,7 +206,6 @@ def _graded(intervals: int, horizon: float) -> tuple[float, ...]:
 
 
 def _halved(breaks: tuple[float, ...]) -> tuple[float, ...]:
-    """Return a mesh with every interval cut in two."""
     middles = [0.5 * (first + last) for first, last in itertools.pairwise(breaks)]
     return tuple(sorted([*breaks, *middles]))
 

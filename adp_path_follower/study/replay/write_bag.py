@@ -110,7 +110,6 @@ def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
 
 
 def _pose(pose: FloatArray) -> tuple[float, ...]:
-    """Return the position and the quaternion of a planar pose (3,)."""
     x, y, theta = pose.tolist()
     return (x, y, 0.0, 0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
 

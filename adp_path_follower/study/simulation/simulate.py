@@ -209,7 +209,6 @@ def _check(
 
 
 def _block_size(settings: Settings, path: Path, duration: float) -> int:
-    """Return how many runs make up a block."""
     learning = settings.learning
     if learning.scheduling != "arc_length" or not learning.learning:
         return _BLOCK
@@ -318,7 +317,6 @@ class _ClosedLoop:
 
 
 def _joined(blocks: list[SimulationResult], trajectories: Trajectories | None) -> SimulationResult:
-    """Return the blocks as one result."""
     names = {item.name for item in fields(SimulationResult)} - {"weights", "step_time"}
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(block, name) for block in blocks])

@@ -197,7 +197,6 @@ def _importance(tuning: Tuning, stable: list[FrozenTrial]) -> dict[str, float]:
 
 
 def _ranked(found: Findings) -> list[Variation]:
-    """Return the variations, the most important first."""
     return sorted(found.tuning.variations, key=lambda item: -found.importance.get(item.name, 0.0))
 
 
