@@ -45,12 +45,12 @@ setup(
         (f"share/{NAME}/docs", glob("docs/*.md")),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
     ],
-    python_requires=">=3.11",
+    python_requires=">=3.11,<3.13",
     install_requires=[
         "numpy>=1.26",
         "scipy>=1.11",
-        "rosbags>=0.10",
-        "mcap>=1.5",
+        "rosbags>=0.10,<0.12",
+        "mcap>=1.5,<2",
         "PyYAML>=6.0",
         "click>=8.1",
         "matplotlib>=3.6",
@@ -58,12 +58,12 @@ setup(
     extras_require={
         "jazzy": JAZZY_WHEELS,
         "optimum": ["casadi>=3.6"],
-        "report": ["plotly>=6.0", "jinja2>=3.1"],
+        "report": ["plotly>=6.0,<8", "jinja2>=3.1"],
         "sweep": [
-            "distributed>=2025.1",
-            "optuna>=5.0",
+            "distributed>=2025.1,<2027",
+            "optuna>=5.0,<6",
             "pyarrow>=15.0",
-            "plotly>=6.0",
+            "plotly>=6.0,<8",
             "jinja2>=3.1",
         ],
         "test": [

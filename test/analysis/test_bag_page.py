@@ -140,6 +140,21 @@ def test_it_opens_without_complaint_and_without_network(pages, visits, name, siz
     assert empty == []
 
 
+def test_no_control_opens_a_window_or_sends_anything(pages, browser):
+    """Plotly's own button uploads the figure by a new window, past the page's policy."""
+    visit = open_page(browser, pages["one"])
+    buttons = visit.page.locator(".modebar-btn")
+    titles = [buttons.nth(index).get_attribute("data-title") for index in range(buttons.count())]
+    assert "Download plot as a PNG" in titles
+    assert not [title for title in titles if "hare" in title or "loud" in title]
+    visit.page.evaluate("document.querySelectorAll('.modebar-btn').forEach((b) => b.click())")
+    assert visit.page.evaluate("window.open('https://example.org/')") is None
+    visit.page.wait_for_timeout(300)
+    assert len(visit.page.context.pages) == 1
+    assert not [url for url in visit.asked if not url.startswith(("file:", "data:", "blob:"))]
+    assert "form-action 'none'" in pages["one"].read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("name", ["one", "two"])
 def test_the_metrics_can_be_read_on_a_telephone(visits, name):
     """Name, meaning, unit and every value, without scrolling; the name stays where it must be."""

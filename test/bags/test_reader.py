@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
+import sqlite3
+
 import numpy as np
 import pytest
 import yaml
@@ -276,3 +280,63 @@ def test_progress_is_reported(tmp_path):
     seen: list[float] = []
     read_run(write_bag(tmp_path / "bag", small_run()), progress=seen.append)
     assert seen[0] == 0.0
+
+
+# Bags as recorders leave them
+
+
+def test_messages_of_an_sqlite3_log_are_read_and_the_bag_stays_as_it_is(tmp_path):
+    """A recorder that was killed leaves most messages in the write-ahead log."""
+    kind = {"storage": StoragePlugin.SQLITE3}
+    messages = list(small_run())
+    whole = write_foreign(tmp_path / "whole", messages, **kind)
+    bag = write_foreign(tmp_path / "bag", messages[:6], **kind)
+    with (
+        contextlib.closing(sqlite3.connect(whole / "whole.db3")) as source,
+        contextlib.closing(sqlite3.connect(bag / "bag.db3")) as base,
+    ):
+        rows = source.execute("SELECT topic_id, timestamp, data FROM messages").fetchall()
+        base.execute("PRAGMA journal_mode=WAL")
+        base.execute("PRAGMA wal_autocheckpoint=0")
+        base.executemany(
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", rows[6:]
+        )
+        base.commit()
+        torn = tmp_path / "torn" / "bag"
+        shutil.copytree(bag, torn)  # while it is open
+    before = {file.name: file.read_bytes() for file in torn.iterdir()}
+    assert len(before["bag.db3-wal"]) > 0
+    run = read_run(torn)
+    assert run.message_counts == {"/path": 1, "/odom": 10, "/cmd_vel": 10}
+    assert any("-wal" in note for note in run.notes)
+    assert {file.name: file.read_bytes() for file in torn.iterdir()} == before
+    assert read_run(torn / "bag.db3").message_counts == run.message_counts
+
+
+def test_of_two_types_on_a_topic_the_more_frequent_is_read_and_the_other_counted(tmp_path):
+    messages = list(small_run())
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
+    with writer:
+        known = {}
+        others = [("/cmd_vel", SECOND + n, twist(9.0, 9.0)) for n in range(3)]
+        for topic, time, message in [*others, *messages]:
+            key = topic, message.__msgtype__
+            if key not in known:
+                known[key] = writer.add_connection(*key, typestore=STORE)
+            writer.write(known[key], time, raw(message))
+    run = read_run(tmp_path / "bag")
+    assert run.series["cmd_vel"].values[:, 0].tolist() == [1.0] * 10
+    assert run.notes == (
+        "topic /cmd_vel: 3 messages are geometry_msgs/msg/Twist, not "
+        "geometry_msgs/msg/TwistStamped as the others: left out",
+    )
+
+
+def test_a_folder_that_holds_a_bag_means_that_bag(tmp_path):
+    write_bag(tmp_path / "demo" / "bag", small_run())
+    run = read_run(tmp_path / "demo")
+    assert len(run.series["odom"].stamp) == 10
+    assert run.notes == (f"the bag in {tmp_path / 'demo'} is bag: it was read",)
+    write_bag(tmp_path / "demo" / "other", small_run())
+    with pytest.raises(FileError, match="holds several bags: give one of bag, other"):
+        read_run(tmp_path / "demo")

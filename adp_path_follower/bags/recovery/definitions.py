@@ -19,6 +19,7 @@ class MessageDefinition:
         """Parse the definition of a type, as far as it is one of ROS."""
         self.name = name
         self.is_ros = encoding in _ROS_ENCODINGS
+        self.is_text = _is_text(data)
         self.type_hash = ""
         self._store: Typestore | None = None
         # Nothing is known of other encodings, nor of a definition that the recorder did not find.
@@ -53,6 +54,18 @@ class MessageDefinition:
         except Exception:  # as above
             return False
         return abs(length - len(message)) <= 3  # serialisers may pad to four bytes
+
+
+def _is_text(data: bytes) -> bool:
+    """Return whether a definition looks sound, though rosbags may not know its language.
+
+    So do those of services and of what the recorder did not find.
+    """
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return False
+    return all(letter.isprintable() or letter in "\n\r\t" for letter in text)
 
 
 @functools.lru_cache(maxsize=256)

@@ -297,8 +297,8 @@ class _Copy:
         self._channels.pop(definition.id, None)
         schema = self._schemas.get(definition.schema_id)
         if schema is not None and not _meaning(schema).is_usable:
-            # One type that cannot be parsed makes a bag unreadable for rosbags, with all topics.
-            schema = jazzy_schema(schema)
+            # One type that is damaged makes a bag unreadable for rosbags, with all topics.
+            schema = jazzy_schema(schema) or (schema if _meaning(schema).is_text else None)
         if schema is None:
             return
         if _meaning(schema).is_ros:

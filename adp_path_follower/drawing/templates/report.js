@@ -1,5 +1,6 @@
 "use strict";
 (() => {
+  window.open = () => null;  // no control of the page may send anything
   const data = JSON.parse(document.getElementById("data").textContent);
   const slider = document.getElementById("time");
   const play = document.getElementById("play");
@@ -136,6 +137,7 @@
     }
     await Plotly.newPlot(figure.element, figure.data, layout, {
       responsive: true, displaylogo: false, scrollZoom: false,
+      showSendToCloud: false, plotlyServerURL: "",
       displayModeBar: small ? false : "hover",
     });
     await Plotly.relayout(figure.element, { ...themed(figure), shapes: shapes(figure) });

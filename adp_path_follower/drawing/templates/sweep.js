@@ -1,5 +1,6 @@
 "use strict";
 (() => {
+  window.open = () => null;  // no control of the page may send anything
   const data = JSON.parse(document.getElementById("data").textContent);
   const narrow = window.matchMedia("(max-width: 600px)");
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
@@ -24,6 +25,7 @@
     const figure = data.figures[element.dataset.figure];
     return Plotly.react(element, figure.data, themed(figure), {
       responsive: true, displaylogo: false, scrollZoom: false,
+      showSendToCloud: false, plotlyServerURL: "",
       displayModeBar: narrow.matches ? false : "hover",
     });
   };

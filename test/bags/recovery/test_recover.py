@@ -222,6 +222,43 @@ def test_a_definition_that_cannot_be_read_is_replaced_by_that_of_jazzy(run, file
     assert replay(read_run(recovery.bag)).identical.all()
 
 
+SERVICE_EVENTS = {
+    "the service": b"bool data\n---\nbool success\nstring message\n",
+    "the event": b"service_msgs/ServiceEventInfo info\nstd_srvs/SetBool_Request[<=1] request\n",
+    "nothing": b"",
+}
+
+
+@pytest.mark.parametrize("chunked", [False, True])
+@pytest.mark.parametrize("definition", SERVICE_EVENTS)
+def test_service_events_of_a_sound_bag_are_kept(tmp_path, definition, chunked):
+    """The library does not know the language of their definition; their bytes are sound."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    with (bag / "bag_0.mcap").open("wb") as stream:
+        writer = Writer(stream, use_chunking=chunked)
+        writer.start(profile="ros2", library="x")
+        float_id = writer.register_schema(FLOAT, "ros2msg", b"float64 data\n")
+        event = ("std_srvs/srv/SetBool_Event", "ros2msg", SERVICE_EVENTS[definition])
+        event_id = writer.register_schema(*event)
+        value = writer.register_channel("/x", "cdr", float_id, {})
+        service = writer.register_channel("/x/_service_event", "cdr", event_id, {})
+        expected = []
+        for number in range(10):
+            at_service = number not in (3, 7)
+            data = b"\0\1\0\0" + bytes([number] * 37)
+            data = data if at_service else torn_bags.message(FLOAT, float(number))
+            writer.add_message(service if at_service else value, number, data, number)
+            topic = "/x/_service_event" if at_service else "/x"
+            expected.append((topic, number, number, data))
+        writer.finish()
+    recovery = recover(bag, tmp_path / "new")
+    assert recovery.bytes_left == 0
+    assert torn_bags.contents(recovery.bag) == expected
+    new_file = recovery.bag / "new_0.mcap"
+    assert torn_bags.schemas(new_file) == torn_bags.schemas(bag / "bag_0.mcap")
+
+
 def test_several_files_become_one_in_the_order_of_their_numbers(tmp_path):
     bag = tmp_path / "bag"
     bag.mkdir()
