@@ -32,7 +32,7 @@ _WITH_TOPICS = re.compile(rf"(?P<bag>.+?):(?P<topics>{_ONE_TOPIC}(?:,{_ONE_TOPIC
 
 
 @click.command()
-@click.argument("bags", nargs=-1, required=True, metavar="BAG[:path=TOPIC,odom=TOPIC,cmd=TOPIC]...")
+@click.argument("bags", nargs=-1, required=True, metavar="BAG...")
 @out_option("report", "report, figures and numbers")
 @topic_options
 @settings_options
@@ -57,12 +57,13 @@ def analyze(
 
     A bag is what the recorder or `ros2 bag record` wrote: MCAP or sqlite3, split, compressed. A bag
     of another controller has all figures but the learner's. Several bags are drawn over each other
-    and compared in a table. The path may be a file, where the bag has none: --path path.csv. With
-    --params or --set, J is counted alike for every bag.
+    and compared in a table; BAG:path=/plan,odom=/odom,cmd=/cmd names topics of one. The path may
+    be a file, where the bag has none: --path path.csv. With --params or --set, J is counted alike
+    for every bag.
 
     \b
     One run:            adp analyze my_bag
-    Against Nav2:       adp analyze my_bag nav2_bag:path=/plan,odom=/odom --params default
+    Against Nav2:       adp analyze mine nav2:path=/plan,odom=/odom
     In CI:              adp analyze my_bag --require 'cross_track_rms<0.02'
 
     Writes report.html (one file, opens without network), metrics.json, figures/ and

@@ -1,5 +1,6 @@
 """The `adp` command: its sub-commands, each imported only when it is called."""
 
+import difflib
 import importlib
 import os
 import sys
@@ -50,6 +51,15 @@ class _LazyGroup(click.Group):
         command: click.Command = getattr(module, cmd_name)
         _mark_examples(command)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in _COMMANDS and not args[0].startswith("-"):
+            meant = difflib.get_close_matches(args[0], _COMMANDS, 1)
+            hint = f"did you mean '{meant[0]}'?" if meant else f"there are {', '.join(_COMMANDS)}"
+            ctx.fail(f"No such command '{args[0]}': {hint}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

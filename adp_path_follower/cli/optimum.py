@@ -18,7 +18,13 @@ from adp_path_follower.cli.options import (
     settings_options,
     start_options,
 )
-from adp_path_follower.cli.outputs import check_figure, check_writable, write_json, write_npz
+from adp_path_follower.cli.outputs import (
+    check_figure,
+    check_writable,
+    json_option,
+    write_json,
+    write_npz,
+)
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
@@ -54,7 +60,7 @@ class _Row:
     is_flag=True,
     help="Solve each start a second time, by the costate boundary value problem.",
 )
-@click.option("--json", "json_file", type=FILE, metavar="FILE", help="Write costs and motions.")
+@json_option("Write costs and motions")
 @click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the motions.")
 @click.option("--figure", "figure_file", type=FILE, metavar="FILE.png", help="Draw the motions.")
 def optimum(

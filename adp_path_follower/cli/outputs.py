@@ -6,14 +6,20 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
 from typing import Any
 
+import click
 import numpy as np
 
+from adp_path_follower.cli.options import Command
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.files import output_to
+from adp_path_follower.core.files import output_to, write_whole
+
+STDOUT = FilePath("-")
+_OWN_STDOUT = "adp_path_follower.stdout"
 
 
 def check_figure(file: FilePath | None) -> None:
@@ -35,12 +41,12 @@ def write_npz(file: FilePath, arrays: dict[str, Any]) -> None:
     np.savez_compressed(content, **arrays)
     with output_to(file):
         # Not getbuffer(): Python 3.12.1 crashes when an exception's traceback holds on to one.
-        file.write_bytes(content.getvalue())
+        _write_whole(file, content.getvalue())
 
 
 def check_writable(*files: FilePath | None) -> None:
     """Raise FileError for output files that cannot be written, before any work is done."""
-    given = [file for file in files if file is not None]
+    given = [file for file in files if file not in (None, STDOUT)]
     for number, file in enumerate(given):
         if file.resolve() in [other.resolve() for other in given[:number]]:
             raise FileError(f"output {file} is given twice: give each output a file of its own")
@@ -92,8 +98,42 @@ def output_directory(directory: FilePath, keep: bool = False) -> Iterator[FilePa
 def write_json(file: FilePath, content: object) -> None:
     """Write JSON with null for numbers that are not finite; may raise FileError."""
     text = json.dumps(_finite(content), indent=2, allow_nan=False)
-    with output_to(file):  # in place: it may be no file but /dev/stdout
-        file.write_text(text + "\n", encoding="utf-8")
+    if file == STDOUT:
+        click.echo(text, file=click.get_current_context().meta[_OWN_STDOUT])
+        return
+    with output_to(file):
+        _write_whole(file, f"{text}\n".encode())
+
+
+def _write_whole(file: FilePath, content: bytes) -> None:
+    """Write a file as a whole or not at all, or in place where it is no file but /dev/stdout."""
+    place = file.resolve()
+    devices = ("/dev", "/proc", "/sys")
+    if (place.exists() and not place.is_file()) or any(
+        path.is_relative_to(folder) for folder in devices for path in (place, file.absolute())
+    ):
+        file.write_bytes(content)
+    else:
+        write_whole(place, content, place.with_name(f".{place.name}.unfinished"))
+
+
+def json_option(meaning: str) -> Callable[[Command], Command]:
+    """Add --json; "-" is standard output, where nothing else goes then."""
+
+    def alone(ctx: click.Context, _: click.Parameter, file: FilePath | None) -> FilePath | None:
+        if file == STDOUT:
+            ctx.meta[_OWN_STDOUT] = sys.stdout
+            ctx.with_resource(contextlib.redirect_stdout(sys.stderr))
+        return file
+
+    return click.option(
+        "--json",
+        "json_file",
+        type=click.Path(path_type=FilePath),
+        metavar="FILE",
+        help=f"{meaning}; - for standard output, without anything else.",
+        callback=alone,
+    )
 
 
 def _finite(content: Any) -> Any:

@@ -112,7 +112,7 @@ def replay(
             found = replay_run(run, settings, overlay)
             # With other parameters other weights are what was asked for.
             weights = None if changed else compare_weights(run, found)
-            click.echo(_report(found, weights))
+            click.echo(_report(run, found, weights))
             differs = weights is not None and _differs(found, weights)
         _write_comparison(found, csv_file, figure_file)
         if folder is not None:
@@ -207,7 +207,7 @@ def _write_report(
     click.echo(f"In {directory}: report.html, {replayed.name}/ (rosbag2, MCAP), trajectory_*.tum")
 
 
-def _report(found: Replay, weights: ComparedWeights | None) -> str:
+def _report(run: Run, found: Replay, weights: ComparedWeights | None) -> str:
     """Return how recorded and replayed commands compare, and weights where they should agree."""
     same = found.identical[found.answered]
     if not len(same):
@@ -230,10 +230,21 @@ def _report(found: Replay, weights: ComparedWeights | None) -> str:
         )
     lines += weights.notes
     if _differs(found, weights):
-        lines.append(
-            "the parameters are the recorded ones: the bag is of another version, or was damaged"
-        )
+        lines.append(_cause(run, found))
     return "\n".join(lines)
+
+
+def _cause(run: Run, found: Replay) -> str:
+    """Return why commands with the recorded parameters may differ."""
+    spent = run.series.get("cost")
+    period = float(np.diff(found.stamp[:2])[0]) * 1e-9 if len(found.stamp) > 1 else 0.0
+    if spent is not None and float(spent.values[0, 0]) > found.cost[0] + 1e-9 + period * 1e-6:
+        return (
+            "the bag begins after the run: the controller had driven before its first recorded "
+            f"step (cost to date {float(spent.values[0, 0]):.4g}), and what it had learned is not "
+            "in the bag; start the recorder before the controller"
+        )
+    return "the parameters are the recorded ones: the bag is of another version, or was damaged"
 
 
 def _differs(found: Replay, weights: ComparedWeights) -> bool:

@@ -1,5 +1,6 @@
 """`adp simulate`: the closed loop without ROS."""
 
+import sys
 import time
 from pathlib import Path as FilePath
 
@@ -16,7 +17,7 @@ from adp_path_follower.cli.options import (
     simulator_options,
     start_options,
 )
-from adp_path_follower.cli.outputs import check_writable, write_json, write_npz
+from adp_path_follower.cli.outputs import check_writable, json_option, write_json, write_npz
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
@@ -61,8 +62,9 @@ _ROWS_SHOWN = 20
     metavar="FILE",
     help="Start from weights that ~/save_weights of the controller wrote.",
 )
+@json_option("Write the outcome of each run")
 @click.option(
-    "--json", "json_file", type=FILE, metavar="FILE", help="Write the outcome of each run."
+    "--allow-failures", is_flag=True, help="Exit with 0 although a run left the path, not 1."
 )
 @click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the trajectories.")
 def simulate(
@@ -80,10 +82,11 @@ def simulate(
     weights_file: FilePath | None,
     json_file: FilePath | None,
     npz_file: FilePath | None,
+    allow_failures: bool,
 ) -> None:
     r"""Simulate the closed loop without ROS, from one or many starts.
 
-    The cost J is integrated along the true motion of the robot.
+    The cost J is integrated along the true motion of the robot. Exit code 1 if a run left the path.
 
     \b
     The paper's run:
@@ -126,6 +129,10 @@ def simulate(
         write_json(json_file, {"runs": _runs(result)})
     if npz_file is not None and result.trajectories is not None:
         write_npz(npz_file, {"starts": result.starts, **vars(result.trajectories)})
+    failed = int(result.failed.sum())
+    if failed and not allow_failures:
+        click.echo(f"adp: {failed} of {len(errors)} runs left the path", err=True)
+        sys.exit(1)
 
 
 def _speed(simulated: float, elapsed: float) -> str:

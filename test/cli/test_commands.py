@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -15,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from adp_path_follower.cli import main
+from adp_path_follower.core.errors import FileError
 from adp_path_follower.ros.runtime import entry
 from commands import adp
 from folders import CONFIG, DATA
@@ -294,3 +296,60 @@ def test_a_node_without_ros_says_what_is_missing(node):
         r"pip install 'adp_path_follower\[jazzy\]'\n",
         done.stderr,
     )
+
+
+def test_json_for_a_dash_is_alone_on_standard_output(tmp_path):
+    done = adp("simulate", "--duration", "0.1", "--json", "-", cwd=tmp_path)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["runs"][0]["failed"] is False
+    assert "-0.500   0.250   -0.524" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_leaves_the_path_is_exit_code_1_unless_that_is_allowed(tmp_path):
+    far = ("simulate", "--duration", "1", "--start", "0", "1e7", "0")
+    done = adp(*far, cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.endswith("adp: 1 of 1 runs left the path\n")
+    assert adp(*far, "--allow-failures", cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["analyse", "x"], "did you mean 'analyze'?"),
+        (["simulate", "--path", "lissajou"], "did you mean 'lissajous'?"),
+        (["simulate", "--path", "circl:0.5"], "did you mean 'circle:0.5'?"),
+        (["simulate", "--parms", "x"], "--params"),
+    ],
+)
+def test_who_mistypes_a_name_is_told_the_right_one(tmp_path, arguments, hint):
+    done = adp(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert hint in done.stderr
+
+
+def test_a_wrong_key_of_a_parameter_file_is_named_with_its_line(tmp_path):
+    file = tmp_path / "robot.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    desired_speed: 0.5\n    max_liner_vel: 1.0\n")
+    done = adp("simulate", "--params", "robot.yaml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "robot.yaml, line 4: " in done.stderr
+    assert "max_linear_vel" in done.stderr
+
+
+def test_an_output_that_does_not_fit_leaves_what_was_there(tmp_path, monkeypatch):
+    from adp_path_follower.cli.outputs import write_json
+    from adp_path_follower.core import files
+
+    file = tmp_path / "x.json"
+    write_json(file, {"a": 1})
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(files.os, "fsync", full)
+    with pytest.raises(FileError, match="No space left on device"):
+        write_json(file, {"a": 2})
+    assert json.loads(file.read_text()) == {"a": 1}
+    assert [item.name for item in tmp_path.iterdir()] == ["x.json"]

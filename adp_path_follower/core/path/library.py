@@ -4,6 +4,7 @@ A path is named ``lissajous`` (the paper's figure eight), ``line``, ``circle:KAP
 signed curvature in 1/m, or by a CSV or YAML file.
 """
 
+import difflib
 import math
 from dataclasses import replace
 from pathlib import Path as FilePath
@@ -47,7 +48,11 @@ def named_path(name: str, settings: PathSettings | None = None) -> Path:
         return circle(_curvature(name))
     if is_path_file(name):
         return path_from_file(expanded(name), settings)
-    raise PathError(f"unknown path '{name}': use {PATH_HELP}")
+    meant = difflib.get_close_matches(name, ("lissajous", "line", "circle:"), 1)
+    if name.partition(":")[0] in difflib.get_close_matches("circle", [name.partition(":")[0]]):
+        meant = [f"circle:{name.partition(':')[2] or 'KAPPA'}"]
+    hint = f", did you mean '{meant[0]}'?" if meant else ":"
+    raise PathError(f"unknown path '{name}'{hint} use {PATH_HELP}")
 
 
 def lissajous() -> Path:

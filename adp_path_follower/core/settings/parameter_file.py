@@ -8,7 +8,7 @@ from typing import TypeVar
 import yaml
 
 from adp_path_follower.core.errors import FileError, SettingsError
-from adp_path_follower.core.files import parse_yaml, read_yaml
+from adp_path_follower.core.files import parse_yaml, read_text, read_yaml
 from adp_path_follower.core.settings.schema import (
     build,
     flatten,
@@ -44,7 +44,21 @@ def load_settings(
     for assignment in assignments:
         name, value = parse_assignment(assignment)
         given[name] = value
-    return build(tree, given)
+    try:
+        return build(tree, given)
+    except SettingsError as error:
+        raise SettingsError(f"{_place(file, str(error))}{error}") from None
+
+
+def _place(file: FilePath | None, message: str) -> str:
+    """Return file and line of the parameter that a message is about, empty if it is in none."""
+    if file is None:
+        return ""
+    for number, line in enumerate(read_text(file).splitlines(), start=1):
+        key = line.partition(":")[0].strip().strip("'\"")
+        if key and f"setting '{key}'" in message:
+            return f"file {file}, line {number}: "
+    return ""
 
 
 def parse_assignment(text: str) -> tuple[str, object]:

@@ -54,11 +54,16 @@ class Outcome:
     def quantile(self, share: float) -> float:
         """Return a quantile of J/J* over the starts with a known optimum; a failure is infinite.
 
-        Between two starts the worse one counts; NaN if there is no start with an optimum.
+        Between two starts the worse one counts, but for the median, which is between both; NaN if
+        there is no start with an optimum.
         """
         ratio = np.where(self.failed, math.inf, self.cost_ratio)
         known = ratio[~np.isnan(ratio)]
-        return float(np.quantile(known, share, method="higher")) if len(known) else math.nan
+        if not len(known):
+            return math.nan
+        return float(
+            np.median(known) if share == 0.5 else np.quantile(known, share, method="higher")
+        )
 
     @property
     def cross_track_rms(self) -> float:

@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -166,7 +167,7 @@ def run_closed_loop(
             # path itself and the configuration after it may be recorded at the very end.
             _wait(nodes, recorder, ("/odom", "/cmd_vel"), lambda: report(None))
             launch("path_publisher", {"path": path_name})
-            _Monitor(domain).watch(robot, controller, nodes, report)
+            _Monitor(domain, duration).watch(robot, controller, nodes, report)
             rest = ("/path", "/path_follower/configuration", "/path_follower/tracking_error")
             others = [node for node in nodes if node is not robot]
             _wait(others, recorder, rest, lambda: None)
@@ -176,6 +177,9 @@ def run_closed_loop(
                 node.stop()
     if recorder.process.returncode != 0:
         raise AdpError(f"the recorder failed: {recorder.last_line()}")
+    given_up = re.search(r"recording to .* stopped: .*", recorder.output())
+    if given_up is not None:  # a full disk, for example
+        raise AdpError(given_up.group())
     return bag
 
 
@@ -186,7 +190,8 @@ def _simulated(
     plain = flatten(SimulatorSettings())
     values = {name: value for name, value in flatten(settings).items() if value != plain[name]}
     faults = settings.simulation.fault_script or settings.message_faults != MessageFaultSettings()
-    values["duration"] = duration
+    # In real time the robot waits for its first command, from which the duration counts.
+    values["duration"] = duration + _READY_TIMEOUT * bool(faults)
     values["publish_clock" if faults else "lockstep"] = True
     return values, _REAL_TIME if faults else _LOCKSTEP
 
@@ -215,7 +220,8 @@ def _wait(
 class _Monitor:
     """Listen to a run until its simulator ends."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, duration: float) -> None:
+        self._duration = duration
         # rclpy reads both when it is initialised.
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -252,6 +258,8 @@ class _Monitor:
                 if self._progress is not seen:
                     seen, seen_at = self._progress, time.monotonic()
                 report(self._progress)
+                if self._progress is not None and self._progress.time > self._duration:
+                    simulator.stop()
                 for other in nodes:
                     if other is not simulator and other.process.poll() is not None:
                         raise AdpError(f"{other.name} ended early: {other.last_line()}")

@@ -252,3 +252,10 @@ def test_figures_where_every_run_failed_say_so(tmp_path, optimal):
         warnings.simplefilter("error")
         files = draw_comparison(found, tmp_path)
     assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_the_median_of_two_starts_is_their_mean():
+    ratio, zeros = np.array([1.0, 1.5]), np.zeros(2)
+    outcome = Outcome("x", ratio, ratio, zeros > 0.0, zeros, zeros, zeros, zeros, 0.0)
+    assert outcome.quantile(0.5) == 1.25
+    assert outcome.quantile(0.95) == outcome.quantile(1.0) == 1.5
