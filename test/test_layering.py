@@ -33,6 +33,7 @@ CORE_ORDER = [
     (f"{A}.core.settings",),
     (f"{A}.core.path", f"{A}.core.safety"),
     (f"{A}.core.control",),
+    (f"{A}.core.robot",),
     (f"{A}.core.learning",),
     (f"{A}.core.driving",),
 ]

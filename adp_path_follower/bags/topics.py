@@ -22,6 +22,7 @@ SERIES = {
     "cmd_vel": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"),
     "target": ("geometry_msgs/msg/PoseStamped",),
     "measured_pose": ("geometry_msgs/msg/Vector3Stamped",),
+    "measured_motion": ("geometry_msgs/msg/Vector3Stamped",),
     "tracking_error": ("geometry_msgs/msg/Vector3Stamped",),
     "critic_weights": _ARRAY,
     "actor_weights": _ARRAY,

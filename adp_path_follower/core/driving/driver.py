@@ -27,7 +27,9 @@ from adp_path_follower.core.path.reversing import (
     turned_settings,
 )
 from adp_path_follower.core.path.route import Route, Segment, route_of
+from adp_path_follower.core.robot.robot import Robot
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import update
 
 _NOTHING = Counts()
 
@@ -52,6 +54,7 @@ class Driver:
         route: The route to follow, None without one.
         counts: Resets, restarts and stops so far.
         saved_weights: Weights of another run to start from, None without.
+        robot: The robot between this and the world.
 
     """
 
@@ -78,6 +81,7 @@ class Driver:
         self.saved_weights, self._tell, self._tell_start = saved_weights, tell, tell_start
         self.route: Route | None = None
         self.counts = counts
+        self.robot = Robot(settings)
         self._actuation = Actuation()  # as the robot of the present segment is told
         self._faces_back = False  # that robot, other than the real one
         self._segment = 0
@@ -189,6 +193,7 @@ class Driver:
         """Go on with a change that was prepared since the last step."""
         before = self.settings
         self.settings, self._follower = change.settings, change.follower
+        self.robot.take_over(change.settings)
         if (before.target, before.limits) != (change.settings.target, change.settings.limits):
             self._tell_of_speed()
         if self._follower is not None:
@@ -200,6 +205,7 @@ class Driver:
         self._to_learn = False
         if self._follower is not None:
             self._follower.reset_learning()
+        self.robot.reset()
         self._count(learning_resets=self.counts.learning_resets + 1)
 
     def restart(self) -> bool:
@@ -210,6 +216,7 @@ class Driver:
         if self._follower is None:
             return False
         self._leave()
+        self.robot.restart()
         self._count(restarts=self.counts.restarts + 1)
         return True
 
@@ -218,6 +225,7 @@ class Driver:
         if self._actuation.stopped:
             return False
         self._actuation.stop()
+        self.robot.note(np.zeros(2))
         self._count(stops=self.counts.stops + 1)
         return True
 
@@ -234,9 +242,9 @@ class Driver:
     def _count(self, **changed: int) -> None:
         self.counts = dataclasses.replace(self.counts, **changed)
 
-    def step(self, pose: FloatArray, time: int) -> FollowerOutput:
+    def step(self, pose: FloatArray, time: int, motion: FloatArray | None = None) -> FollowerOutput:
         """Return the command of `command_for`, and learn from the step."""
-        output = self.command_for(pose, time)
+        output = self.command_for(pose, time, motion)
         self.learn()
         return output
 
@@ -244,13 +252,22 @@ class Driver:
         """Learn from the last step, once, if learning was not reset meanwhile."""
         if self._to_learn and self._follower is not None:
             self._follower.learn()
+            self.robot.learn()
         self._to_learn = False
 
-    def command_for(self, pose: FloatArray, time: int) -> FollowerOutput:
+    def command_for(
+        self, pose: FloatArray, time: int, motion: FloatArray | None = None
+    ) -> FollowerOutput:
         """Return the command for a pose [x, y, theta] (3,) at a time [ns]; there must be a route.
 
         Command, error and target pose are the robot's own, also in reverse. Learning from
         the step waits for `learn`, so that the command can be sent before.
+
+        Args:
+            pose: The pose by odometry, moved on to the time at constant twist.
+            time: Time of the step [ns].
+            motion: Odometry's v [m/s], w [rad/s] and age [s], shape (3,); without it the robot's
+                model is not used.
 
         Raises:
             SettingsError: No policy can be found for these settings on this path.
@@ -259,9 +276,12 @@ class Driver:
         moved = math.dist(pose[:2], self._pose[:2])
         if self._actuation.stopped and moved > CARRIED:
             self._leave()
+            self.robot.restart()
         self._pose = pose
+        ahead, then = self.robot.ahead(pose, time, motion)
         if self._follower is None:
             self._begin(pose)
+            self._lead(pose, ahead, (then - time) * 1e-9)
         elif self._at_segment_end and not self.at_goal and self._turn is None:
             self._standstill = self._standstill or Standstill()
             if not self._standstill.reached(pose, time):
@@ -277,10 +297,12 @@ class Driver:
             if turning is not None:
                 return turning
         assert self._follower is not None  # one has just begun, if there was none
-        facing = self._present.heading_of_path(pose)
-        self._output = self._follower.step_at(facing, time, learn=False)
+        facing = self._present.heading_of_path(ahead)
+        self._output = self._follower.step_at(facing, then, learn=False)
         self._to_learn = True
-        return self._own(self._output)
+        output = self._own(self._output)
+        command = self.robot.command(output.command)
+        return output if command is output.command else dataclasses.replace(output, command=command)
 
     def _turning(self, heading: float, pose: FloatArray, time: int) -> FollowerOutput | None:
         """Return the output of a turn on the spot to a heading, None when driving begins."""
@@ -325,6 +347,7 @@ class Driver:
         """Return a command [0, w] and its error at a pose (3,), without heading while it turns."""
         last = self._output
         assert last is not None  # there was a step on the segment
+        self.robot.note(command)
         error = tracking_error(self._present.heading_of_path(pose), last.target_pose)
         if self._turn is not None or self._faces_goal:
             error = error * np.array([1.0, 1.0, 0.0])
@@ -334,7 +357,15 @@ class Driver:
         )
 
     def _of_segment(self, settings: Settings) -> Settings:
+        if settings.robot.robot_model != "ideal":  # whose delay is predicted there
+            settings = update(settings, {"actuation_delay": 0.0})
         return turned_settings(settings) if self._present.reverse else settings
+
+    def _lead(self, pose: FloatArray, ahead: FloatArray, time: float) -> None:
+        """Let the target move on until a robot (3,) is ahead (3,), after a time [s]."""
+        if time > 0.0 and self._follower is not None:
+            facing = self._present.heading_of_path
+            self._follower.lead(facing(pose), facing(ahead), time)
 
     def _begin(self, pose: FloatArray) -> None:
         route, left, controller = self.route, self._left, self.settings.controller

@@ -145,6 +145,19 @@ class PathFollower:
             observation = Observation(self.arc_length, lambda: previous.measured)
             self._learner.learn(observation, self._period)
 
+    def lead(self, pose: FloatArray, ahead: FloatArray, time: float) -> None:
+        """Let the target move on before the first step, as commands take a time [s] to act.
+
+        Args:
+            pose: Where the robots are, shape (..., 3).
+            ahead: Where they will be by then, shape (..., 3).
+            time: The time until the first command acts [s].
+
+        """
+        self._target.move(pose, 0.0)
+        self._target.move(ahead, time)
+        self._target.hold()
+
     def step_at(self, pose: FloatArray, time: int, learn: bool = True) -> FollowerOutput:
         """Return the command for a pose at a time [ns] of any clock.
 

@@ -11,6 +11,7 @@ import numpy as np
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.learning import LearningSettings, PolicySettings
+from adp_path_follower.core.settings.robot import RobotSettings
 from adp_path_follower.core.settings.schema import POSITIVE, setting, update
 
 _WIRING = "the node's topics are made from it"
@@ -190,7 +191,8 @@ class MotionSettings:
     yaw_goal_tolerance: float = setting(0.1, "The same for the heading.", unit="rad", low=POSITIVE)
     actuation_delay: float = setting(
         0.0,
-        "Known time from a command to its effect, over which the pose is predicted.",
+        "Known time from a command to its effect, over which the pose is predicted; with "
+        "robot_model: learned, the time to begin with.",
         unit="s",
         low=0.0,
         high=1.0,
@@ -337,6 +339,7 @@ class Settings:
     motion: MotionSettings
     learning: LearningSettings
     policy: PolicySettings
+    robot: RobotSettings
     path: PathSettings
     controller: ControllerSettings
 

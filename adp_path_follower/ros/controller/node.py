@@ -255,9 +255,9 @@ class PathFollowerNode(Ending, LifecycleNode):
         if problem:
             self._refuse_command(problem)
             return
-        pose = measurement.pose_at(time)
+        pose, motion = measurement.pose_at(time), measurement.motion_at(time)
         try:
-            output = self._driver.command_for(pose, time)
+            output = self._driver.command_for(pose, time, motion)
         except SettingsError as error:
             self._refuse_command(str(error))
             return
@@ -272,7 +272,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._update_status()
         else:
             parts.commands.send(output.command, time)
-        self._tell(time, pose, output)
+        self._tell(time, pose, motion, output)
 
     def _refuse_command(self, problem: str) -> None:
         self._supervisor.command_refused(problem)
@@ -286,15 +286,20 @@ class PathFollowerNode(Ending, LifecycleNode):
             return "the learner's command is not finite; learning was reset"
         return self._configured.commands.take_lateness()
 
-    def _tell(self, time: int, pose: FloatArray, output: FollowerOutput) -> None:
-        """Publish what a step at a time [ns] and a pose (3,) found, and see if it was the last."""
+    def _tell(
+        self, time: int, pose: FloatArray, motion: FloatArray, output: FollowerOutput
+    ) -> None:
+        """Publish what a step at a time [ns], a pose and a motion, (3,) each, found.
+
+        See if it was the last.
+        """
         parts, follower, route = self._configured, self._driver.follower, self._driver.route
         assert follower is not None  # the step has made it
         if parts.telemetry.learning(follower.learning_problem):
             self._publish_diagnostics()
         assert parts.path.followed is not None  # nor a step without a path
         frame = parts.path.followed.followed_frame
-        parts.telemetry.step(time, frame, pose, output, float(follower.cost))
+        parts.telemetry.step(time, frame, (pose, motion), output, float(follower.cost))
         if route is not None:
             parts.telemetry.markers(time, frame, route, output)
         if self._driver.at_goal:

@@ -118,7 +118,10 @@ class Telemetry:
         self._configuration = _quiet_publisher(node, String, "~/configuration", ALL_CHANGES)
         self._diagnostics = _quiet_publisher(node, DiagnosticArray, "/diagnostics", 10)
         # Whether or not somebody listens: without it a run cannot be replayed.
-        self._pose = _quiet_publisher(node, Vector3Stamped, "~/measured_pose", LOSSLESS)
+        self._measured = [
+            _quiet_publisher(node, Vector3Stamped, topic, LOSSLESS)
+            for topic in ("~/measured_pose", "~/measured_motion")
+        ]
         self._steps: list[tuple[Publisher, MakeMessage]] = [
             (_quiet_publisher(node, kind, topic, LOSSLESS if lossless else EVERY_STEP), make)
             for topic, (kind, make) in _step_messages(labels).items()
@@ -128,14 +131,23 @@ class Telemetry:
     def destroy(self) -> None:
         """Destroy the publishers."""
         others = (self._markers, self._configuration, self._diagnostics, self._status)
-        for publisher in (*others, self._pose, *(publisher for publisher, _ in self._steps)):
+        for publisher in (*others, *self._measured, *(publisher for publisher, _ in self._steps)):
             self._node.destroy_publisher(publisher)
 
     def step(
-        self, time: int, frame: str, pose: FloatArray, output: FollowerOutput, cost: float
+        self,
+        time: int,
+        frame: str,
+        measured: tuple[FloatArray, FloatArray],
+        output: FollowerOutput,
+        cost: float,
     ) -> None:
-        """Publish what one control step at a time [ns] went by and found; cost is J so far."""
-        self._pose.publish(vector_stamped(time, frame, pose))
+        """Publish what one control step at a time [ns] went by and found; cost is J so far.
+
+        Measured are x, y, theta, shape (3,), and v, w and the age of the odometry [s], shape (3,).
+        """
+        for publisher, values in zip(self._measured, measured, strict=True):
+            publisher.publish(vector_stamped(time, frame, values))
         for publisher, make in self._steps_to_tell(time):
             publisher.publish(make(time, frame, output, cost))
 

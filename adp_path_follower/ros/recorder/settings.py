@@ -15,6 +15,7 @@ RUN_TOPICS = (
     "path",
     "path_follower/target",
     "path_follower/measured_pose",
+    "path_follower/measured_motion",
     "path_follower/tracking_error",
     "path_follower/critic_weights",
     "path_follower/actor_weights",

@@ -37,10 +37,18 @@ class Measurement:
 
         Stamps of another clock (ahead, or a second behind) leave the pose as it was measured.
         """
-        age = (time - self.stamp) / NANOSECONDS
-        if not 0.0 < age < _LONGEST_PREDICTION:
+        age = self._age(time)
+        if age == 0.0:
             return self.pose
         return advance_pose(self.pose, self.twist[0], self.twist[1], age)
+
+    def motion_at(self, time: int) -> FloatArray:
+        """Return v [m/s], w [rad/s] and how long [s] `pose_at` has moved the pose on, (3,)."""
+        return np.array([*self.twist, self._age(time)])
+
+    def _age(self, time: int) -> float:
+        age = (time - self.stamp) / NANOSECONDS
+        return age if 0.0 < age < _LONGEST_PREDICTION else 0.0
 
 
 def stamp_nanoseconds(header: Header) -> int:

@@ -98,8 +98,11 @@ class RecordedDriver:
         """Return whether the target is at the end of an open route."""
         return self._driver.at_goal
 
-    def step(self, pose: FloatArray, stamp: int) -> FollowerOutput:
-        """Return the output for a pose (3,) at a time [ns]; FileError if no robot can be there."""
+    def step(self, pose: FloatArray, stamp: int, motion: FloatArray) -> FollowerOutput:
+        """Return the output for a pose and a motion (3,) at a time [ns].
+
+        FileError if no robot can be there.
+        """
         changed = self._count == 0
         while self._next is not None and self._next.after_step < stamp:
             self._change(self._next)
@@ -111,7 +114,8 @@ class RecordedDriver:
             self.configurations.append((self._count, self._text()))
         try:
             with np.errstate(all="ignore"):  # a damaged pose raises below, once
-                output = self._driver.step(pose, stamp)
+                known = motion if np.isfinite(motion).all() else None
+                output = self._driver.step(pose, stamp, known)
             sound = bool(np.isfinite(output.command).all())
         except (ArithmeticError, LookupError, ValueError):
             sound = False

@@ -29,6 +29,7 @@ class Steps:
     stamp: np.ndarray  # time of each [ns], shape (N,)
     pose: FloatArray  # x, y, theta that it went by, shape (N, 3)
     arrival: np.ndarray  # when that was recorded [ns], shape (N,)
+    motion: FloatArray  # v, w and age of the odometry [s], NaN where unknown, shape (N, 3)
 
 
 @dataclass(frozen=True)
@@ -95,13 +96,13 @@ def replay(
     driver = RecordedDriver(run, settings, overlay)
     outputs: list[FollowerOutput] = []
     cost = []
-    for pose, stamp in zip(steps.pose, steps.stamp.tolist(), strict=True):
-        outputs.append(driver.step(pose, stamp))
+    for pose, stamp, motion in zip(steps.pose, steps.stamp.tolist(), steps.motion, strict=True):
+        outputs.append(driver.step(pose, stamp, motion))
         cost.append(float(driver.follower.cost))
         if driver.at_goal and "measured_pose" not in run.series:
             break  # from here on the node commands zero velocity
     count = len(outputs)
-    steps = Steps(steps.stamp[:count], steps.pose[:count], steps.arrival[:count])
+    steps = Steps(*(values[:count] for values in vars(steps).values()))
     commands = np.array([output.command for output in outputs])
     recorded = _recorded(run.series.get("cmd_vel"), steps, commands)
     return Replay(
@@ -130,7 +131,14 @@ def steps_of(run: Run) -> Steps:
     pose = series.values[first][:, :3]
     if not np.isfinite(pose).all():
         raise FileError("the bag has odometry that is not finite: it cannot be replayed")
-    return Steps(stamps, pose, series.arrival[first])
+    motion = np.full_like(pose, np.nan)
+    if "measured_motion" in run.series:
+        told, where = np.unique(run.series["measured_motion"].stamp, return_index=True)
+        _, step, telling = np.intersect1d(stamps, told, return_indices=True)
+        motion[step] = run.series["measured_motion"].values[where[telling]]
+    elif series is run.series.get("odom"):
+        motion = np.column_stack([series.values[first][:, 3:5], np.zeros(len(pose))])
+    return Steps(stamps, pose, series.arrival[first], motion)
 
 
 def _settings_of_odometry_steps(run: Run) -> Settings:
@@ -194,14 +202,16 @@ def rerun(
         stamps.append(stamp)
         poses.append(robot.measured_pose())
         velocities.append(robot.twist)
-        outputs.append(driver.step(poses[-1], stamp))
+        outputs.append(driver.step(poses[-1], stamp, np.append(robot.twist, 0.0)))
         cost.append(float(driver.follower.cost))
         period = 1.0 / driver.settings.controller.controller_frequency
         robot.step(outputs[-1].command, period)
         stamp += round(period * _NANOSECONDS)
     count = len(outputs)
     stamp_array = np.array(stamps)
-    steps = Steps(stamp_array, np.array(poses), recorded.arrival[0] + stamp_array - stamp_array[0])
+    arrival = recorded.arrival[0] + stamp_array - stamp_array[0]
+    motion = np.column_stack([velocities, np.zeros(count)])
+    steps = Steps(stamp_array, np.array(poses), arrival, motion)
     nothing = np.full((count, 2), np.nan)
     found = Replay(
         driver.follower,

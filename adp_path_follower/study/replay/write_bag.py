@@ -21,6 +21,7 @@ _KINDS = {
     "/odom": "nav_msgs/msg/Odometry",
     "/cmd_vel": "geometry_msgs/msg/TwistStamped",
     "/path_follower/measured_pose": "geometry_msgs/msg/Vector3Stamped",
+    "/path_follower/measured_motion": "geometry_msgs/msg/Vector3Stamped",
     "/path_follower/tracking_error": "geometry_msgs/msg/Vector3Stamped",
     "/path_follower/target": "geometry_msgs/msg/PoseStamped",
     "/path_follower/critic_weights": "std_msgs/msg/Float64MultiArray",
@@ -95,6 +96,7 @@ def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
         for topic, numbers in (
             ("/cmd_vel", _twist(output.command)),
             ("/path_follower/measured_pose", pose),
+            ("/path_follower/measured_motion", found.steps.motion[step]),
             ("/path_follower/tracking_error", output.error),
             ("/path_follower/target", _pose(output.target_pose)),
         ):

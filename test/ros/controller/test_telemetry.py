@@ -30,11 +30,11 @@ def test_nothing_is_made_of_a_step_until_somebody_listens(peer):
     telemetry = Telemetry(peer.node, ("a",), lossless=False, controller=lambda: told_at(math.inf))
     nothing = None  # what any message would be made of
     for step in range(5):
-        telemetry.step(step * PERIOD, "odom", np.zeros(3), nothing, 0.0)
+        telemetry.step(step * PERIOD, "odom", np.zeros((2, 3)), nothing, 0.0)
     costs = peer.listen(Float64, "test_peer/cost")
 
     def cost_arrives():
-        telemetry.step(9 * PERIOD, "odom", np.zeros(3), nothing, 7.0)  # the cost comes by itself
+        telemetry.step(9 * PERIOD, "odom", np.zeros((2, 3)), nothing, 7.0)  # the cost comes, too
         return costs
 
     peer.until(cost_arrives, "the cost")
@@ -57,13 +57,13 @@ def test_of_each_period_the_first_step_is_told(peer, rate, expected):
     before = iter(range(0, 10**15, 10**9))
 
     def both_arrive():
-        telemetry.step(next(before), "odom", np.zeros(3), output, -1.0)
+        telemetry.step(next(before), "odom", np.zeros((2, 3)), output, -1.0)
         return errors and costs
 
     peer.until(both_arrive, "the first messages")
     start = 1_700_000_000 * 10**9
     for step in range(30):
-        telemetry.step(start + step * PERIOD, "odom", np.zeros(3), output, float(step))
+        telemetry.step(start + step * PERIOD, "odom", np.zeros((2, 3)), output, float(step))
     peer.until(lambda: costs[-1].data == expected[-1], "the last step that is told")
     peer.until(lambda: stamps(errors)[-1] == start + expected[-1] * PERIOD, "that one")
     assert [cost.data for cost in costs if cost.data >= 0.0] == list(expected)

@@ -1,0 +1,60 @@
+"""Commands for which the robot moves as an ideal unicycle would.
+
+A command sent now acts from now + delay on, and within a horizon h from then it brings the wheels
+from where they will be, v_a, to where they are wanted, v_h:
+
+    v_c = v_a + (v_h - v_a) / (1 - exp(-h / lag)).
+
+With h far below the lag this inverts the lag, and with it every error of the estimate; with h far
+above, it waits for the lag. The controller is asked for the pose at now + delay + h.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.robot.model import RobotModel
+
+_SHARE = 0.5  # of the lag
+_SHORTEST = 0.03  # [s]
+_NO_LAG = 0.004  # [s]
+_PER_NOISE = 0.0
+
+
+def horizon(model: RobotModel, noise: float) -> float:
+    """Return h [s], longer with the noise [rad/s] of the turn rate that the controller asks for."""
+    lag = max(model.linear_lag, model.angular_lag)
+    if lag <= _NO_LAG:
+        return 0.0
+    return max(_SHORTEST, _SHARE * lag, min(lag, _PER_NOISE * noise))
+
+
+def compensated(
+    model: RobotModel, acting: tuple[float, float], wanted: FloatArray, ahead: float
+) -> FloatArray:
+    """Return the command, shape (2,), that brings the robot to a motion.
+
+    Args:
+        model: The robot.
+        acting: The wheels' v_a [m/s] and w_a [rad/s] when the command begins to act.
+        wanted: The robot's V and W, shape (2,).
+        ahead: The horizon h [s].
+
+    """
+    v, w = model.wheels(*wanted.tolist())
+    return np.array(
+        [
+            _inverted(acting[0], v, ahead, model.linear_lag),
+            _inverted(acting[1], w, ahead, model.angular_lag),
+        ]
+    )
+
+
+def _inverted(now: float, wanted: float, ahead: float, lag: float) -> float:
+    """Return the command that brings a wheel velocity to the wanted one within a time [s]."""
+    if lag <= _NO_LAG or ahead <= 0.0:
+        return wanted
+    return now + (wanted - now) / -math.expm1(-ahead / lag)

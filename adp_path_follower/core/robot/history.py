@@ -1,0 +1,86 @@
+"""The commands that a robot was sent lately."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+
+from adp_path_follower.core.robot.model import Held
+
+_MEMORY = 2.5  # [s]
+_FINE = 0.01  # [s] of a ramp in one piece
+_MOST = 512  # commands, above which those older than the memory are forgotten
+
+
+class CommandHistory:
+    """Remembers commands [m/s, rad/s] and when they were sent; before the first, the robot rests.
+
+    Attributes:
+        last: The last command.
+        ramp: Highest rate of change of the linear velocity that the firmware lets through [m/s^2].
+
+    """
+
+    def __init__(self) -> None:
+        """Begin with a robot at rest."""
+        self.last = (0.0, 0.0)
+        self.ramp = math.inf
+        self._times: list[float] = []
+        self._sent: list[tuple[float, float, float]] = []  # and the velocity set until then
+
+    def send(self, time: float, command: tuple[float, float]) -> None:
+        """Note a command that is sent at a time [s], no earlier than the last one."""
+        reached = 0.0
+        if self._times:
+            reached = _ramped(self._sent[-1], time - self._times[-1], self.ramp)
+        self.last = command
+        self._times.append(time)
+        self._sent.append((*command, reached))
+        if len(self._times) > _MOST:
+            old = bisect_right(self._times, time - _MEMORY) - 1
+            if old > 0:
+                del self._times[:old], self._sent[:old]
+
+    def held(self, start: float, end: float) -> list[Held]:
+        """Return what acts of the commands sent between two times [s], and for how long each."""
+        index = bisect_right(self._times, start) - 1
+        found: list[Held] = []
+        if index < 0 and start < end:
+            first = min(self._times[0], end) if self._times else end
+            found.append((0.0, 0.0, first - start))
+            start, index = first, 0
+        while start < end and index < len(self._times):
+            following = self._times[index + 1] if index + 1 < len(self._times) else end
+            stop = min(following, end)
+            if stop > start:
+                self._act(found, index, start, stop)
+                start = stop
+            index += 1
+        return found
+
+    def ahead(self, now: float, duration: float) -> list[Held]:
+        """Return how the last command would go on acting for a duration [s] from a time [s] on."""
+        if not self._times:
+            return [(0.0, 0.0, duration)]
+        found: list[Held] = []
+        self._act(found, len(self._times) - 1, now, now + duration)
+        return found
+
+    def _act(self, found: list[Held], index: int, start: float, stop: float) -> None:
+        """Add the pieces of one command from one time to another."""
+        sent, (v, w, _) = self._times[index], self._sent[index]
+        before = _ramped(self._sent[index], start - sent, self.ramp)
+        while start < stop and before != v and self.ramp < math.inf:
+            until = min(stop, start + _FINE)
+            after = _ramped(self._sent[index], until - sent, self.ramp)
+            found.append((0.5 * (before + after), w, until - start))
+            start, before = until, after
+        if start < stop:
+            found.append((v, w, stop - start))
+
+
+def _ramped(sent: tuple[float, float, float], elapsed: float, ramp: float) -> float:
+    """Return the velocity that is set some time [s] after a command was sent."""
+    wanted, _, before = sent
+    most = ramp * elapsed if elapsed > 0.0 else 0.0
+    return before + min(max(wanted - before, -most), most)

@@ -1,0 +1,110 @@
+"""How a robot answers its commands: delay, lag, ramp, gains and bias.
+
+A command [v_c, w_c] sent at t acts from t + delay on. The firmware lets v_c change by no more than
+its ramp, and the wheels follow,
+
+    v' = (v_c - v) / lag_v,    w' = (w_c - w) / lag_w,
+
+where v and w are what the encoders tell. The robot moves with
+
+    V = k_v v,    W = k_w w + b v,    x' = V cos(theta),    y' = V sin(theta),    theta' = W,
+
+for wheels of another size or distance than the firmware believes, and of two sizes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """The parameters of one robot; those of the defaults are an ideal unicycle's.
+
+    Attributes:
+        delay: Time from a command to its effect [s].
+        linear_lag: Time constant of v [s].
+        angular_lag: Time constant of w [s].
+        ramp: Highest rate of change of v_c that the firmware lets through [m/s^2].
+        linear_gain: k_v, true velocity by the encoders' one.
+        angular_gain: k_w, the same for the turn rate.
+        bias: b, turn rate that comes with the velocity [rad/m].
+
+    """
+
+    delay: float = 0.0
+    linear_lag: float = 0.0
+    angular_lag: float = 0.0
+    ramp: float = math.inf
+    linear_gain: float = 1.0
+    angular_gain: float = 1.0
+    bias: float = 0.0
+
+    @property
+    def ideal(self) -> bool:
+        """Return whether this is the ideal unicycle."""
+        return self == IDEAL
+
+    def motion(self, v: float, w: float) -> tuple[float, float]:
+        """Return how the robot moves [m/s, rad/s] with the wheels' velocities."""
+        return self.linear_gain * v, self.angular_gain * w + self.bias * v
+
+    def wheels(self, v: float, w: float) -> tuple[float, float]:
+        """Return the wheels' velocities with which the robot moves [m/s, rad/s] as wanted."""
+        v = v / self.linear_gain
+        return v, (w - self.bias * v) / self.angular_gain
+
+
+IDEAL = RobotModel()
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """Where a robot is and how its wheels turn.
+
+    Attributes:
+        x: Position [m].
+        y: Position [m].
+        theta: Heading [rad].
+        v: The wheels' velocity [m/s].
+        w: The wheels' turn rate [rad/s].
+
+    """
+
+    x: float
+    y: float
+    theta: float
+    v: float = 0.0
+    w: float = 0.0
+
+
+# A command [m/s, rad/s] and the time for which it acts [s].
+Held = tuple[float, float, float]
+
+
+def response(now: float, wanted: float, dt: float, lag: float) -> tuple[float, float]:
+    """Return a wheel velocity after dt, and the distance meanwhile, exactly."""
+    gap = now - wanted
+    faded = gap * math.exp(-dt / lag) if lag > 0.0 else 0.0
+    return wanted + faded, wanted * dt + lag * (gap - faded)
+
+
+def advanced(model: RobotModel, state: RobotState, commands: Iterable[Held]) -> RobotState:
+    """Return the state after commands have acted one after the other.
+
+    Velocities, distances and turns are exact; each command is driven as one arc.
+    """
+    x, y, theta, v, w = state.x, state.y, state.theta, state.v, state.w
+    gain, turn_gain, bias = model.linear_gain, model.angular_gain, model.bias
+    for wanted_v, wanted_w, dt in commands:
+        v, rolled = response(v, wanted_v, dt, model.linear_lag)
+        w, turned = response(w, wanted_w, dt, model.angular_lag)
+        half = 0.5 * (turn_gain * turned + bias * rolled)
+        chord = gain * rolled * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+        middle = theta + half
+        x += chord * math.cos(middle)
+        y += chord * math.sin(middle)
+        theta = middle + half
+    return RobotState(x, y, theta, v, w)

@@ -1,0 +1,193 @@
+"""Delay, lags and ramp from how the encoders answer the commands: a bank of models.
+
+Each member of the bank filters the commands with its own lag and ramp; the encoders' velocity is
+compared with all of them, at each of several delays. What the bank has seen weighs its members,
+and their weighted mean is the model.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.robot.model import RobotModel
+
+_DELAYS = np.arange(0.0, 0.42, 0.02)  # [s]
+_LAGS = np.array([0.0, 0.025, 0.05, 0.08, 0.115, 0.155, 0.2, 0.25, 0.31, 0.38, 0.46])  # [s]
+_RAMPS = np.array([math.inf, 5.0, 3.5, 2.5, 1.8, 1.2, 0.8, 0.5])  # [m/s^2]
+_FINEST, _COARSEST = 0.004, 0.01  # [s] between two states of the members
+_KEPT = 256  # states
+_NOISE = np.array([0.012, 0.025])  # [m/s, rad/s] of encoders and model, at least
+_SPACING = 0.1  # [s] between messages that are independent
+_TRANSIENT = 0.1  # [m/s] from the commanded velocity, ...
+_CALM = 0.3  # [s] after which it is over
+_MOVING = 0.05  # [m/s, rad/s]: slower ones tell nothing
+_KEEPS = 0.98  # share of an agreement after one more message
+_AGREE = 0.3  # share of the usual velocity, below which encoders and commands disagree
+_USUAL = (5, 4 * len(_RAMPS), len(_LAGS) * len(_RAMPS) + 4)  # delay and members of a usual robot
+_MEMORY = 40.0  # [s] of excited driving
+_SIGNIFICANT = 8.0  # logarithm of how much likelier than the ideal robot a model must be
+_TOGETHER = 0.08  # [s] by which the lags of v and w may well differ
+
+
+@dataclass(frozen=True)
+class Response:
+    """Delay, lags and ramp, with standard deviations.
+
+    Attributes:
+        delay: [s].
+        linear_lag: [s].
+        angular_lag: [s].
+        ramp: [m/s^2].
+        deviations: Of delay and lags [s].
+
+    """
+
+    delay: float = 0.0
+    linear_lag: float = 0.0
+    angular_lag: float = 0.0
+    ramp: float = math.inf
+    deviations: tuple[float, float, float] = (0.3, 0.3, 0.3)
+
+
+class ResponseBank:
+    """Compares the encoders with all models of the bank."""
+
+    def __init__(self, start: RobotModel) -> None:
+        """Begin with a robot at rest, no evidence, and what holds without any."""
+        self._start = Response(start.delay, start.linear_lag, start.angular_lag, start.ramp)
+        self._lags = np.concatenate([np.repeat(_LAGS, len(_RAMPS)), _LAGS])
+        self._linear = len(_LAGS) * len(_RAMPS)
+        self._members = len(self._lags)
+        self._agreement = np.full((2, 2), 0.3)
+        self._evidence = np.zeros((len(_DELAYS), self._members))
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with a robot at rest; evidence stays."""
+        self._state = np.zeros(self._members)
+        self._set = np.zeros(len(_RAMPS))  # velocity that each ramp lets through
+        self._times = np.zeros(2 * _KEPT)
+        self._states = np.zeros((2 * _KEPT, self._members))
+        self._stored = 0
+        self._time: float | None = None
+        self._stamp = self._transient = -math.inf
+        self._command = (0.0, 0.0)
+
+    def advance(self, time: float, command: tuple[float, float]) -> None:
+        """Let the members answer the last command until a time [s], when another one is sent."""
+        if self._time is None:
+            self._time, self._command = time, command
+            self._store()
+        elapsed, sent, self._command = time - self._time, self._command, command
+        if elapsed <= 0.0:
+            return
+        pieces = max(1, math.ceil(elapsed / _COARSEST - 1e-6)) if elapsed < 1.0 else 1
+        step = elapsed / pieces
+        fade = np.exp(-step / np.maximum(self._lags, 1e-9))
+        wanted = np.full(self._members, sent[1])
+        with np.errstate(invalid="ignore"):
+            most = np.where(np.isinf(_RAMPS), math.inf, _RAMPS * step)
+        for piece in range(pieces):
+            change = np.clip(sent[0] - self._set, -most, most)
+            wanted[: self._linear] = np.tile(self._set + 0.5 * change, len(_LAGS))
+            wanted[: self._linear].reshape(len(_LAGS), -1)[:, 0] = sent[0]
+            self._set = self._set + change
+            self._state = wanted + fade * (self._state - wanted)
+            self._time = time if piece == pieces - 1 else self._time + step
+            if self._time - self._times[self._stored - 1] >= _FINEST:
+                self._store()
+
+    def _store(self) -> None:
+        if self._stored == 2 * _KEPT:
+            self._times[:_KEPT] = self._times[_KEPT:]
+            self._states[:_KEPT] = self._states[_KEPT:]
+            self._stored = _KEPT
+        self._times[self._stored] = self._time
+        self._states[self._stored] = self._state
+        self._stored += 1
+
+    def observe(self, stamp: float, v: float, w: float) -> None:
+        """Compare the encoders' velocities at a time [s] with all members."""
+        elapsed, self._stamp = stamp - self._stamp, stamp
+        times = self._times[: self._stored]
+        asked = stamp - _DELAYS
+        if self._stored < 2 or elapsed <= 0.0 or asked[0] > times[-1] + 0.05:
+            return
+        after = np.clip(np.searchsorted(times, asked), 1, self._stored - 1)
+        before = after - 1
+        share = (asked - times[before]) / (times[after] - times[before])
+        share = np.clip(share, 0.0, 1.0)[:, None]
+        expected = self._states[before] + share * (self._states[after] - self._states[before])
+        weight = min(1.0, elapsed / _SPACING)
+        self._compare((v, w), (expected[_USUAL[0], _USUAL[1]], expected[_USUAL[0], _USUAL[2]]))
+        linear = self._linear
+        error = expected
+        error[:, :linear] -= v
+        error[:, linear:] -= w
+        error *= error
+        excitement = weight * np.array([np.ptp(error[:, :linear]), np.ptp(error[:, linear:])])
+        excitement /= _NOISE**2
+        spread = np.minimum(1.0, excitement)
+        fade = 1.0 - weight * _SPACING / _MEMORY * spread
+        self._evidence[:, :linear] *= fade[0]
+        self._evidence[:, linear:] *= fade[1]
+        # Wheels that are still getting up to speed have no room for a turn.
+        if abs(v - self._command[0]) > _TRANSIENT:
+            self._transient = stamp
+        if stamp - self._transient < _CALM:
+            error[:, linear:] = 0.0
+        self._evidence += weight * error
+
+    def _compare(self, found: tuple[float, float], expected: tuple[float, float]) -> None:
+        """Add up how far the encoders go with what a usual robot would do."""
+        for part, (encoder, usual) in enumerate(zip(found, expected, strict=True)):
+            if abs(usual) > _MOVING:
+                self._agreement[part] *= _KEEPS
+                self._agreement[part] += (encoder * usual, usual * usual)
+
+    @property
+    def opposed(self) -> bool:
+        """Return whether the encoders do not turn as they are told, or the other way round."""
+        return bool((self._agreement[:, 0] < _AGREE * self._agreement[:, 1]).any())
+
+    def response(self) -> Response:
+        """Return the weighted mean of the members, or the ideal response if it is as likely."""
+        linear = self._linear
+        score_v = self._evidence[:, :linear].reshape(len(_DELAYS), len(_LAGS), len(_RAMPS))
+        score_w = self._evidence[:, linear:]
+        log_v = -0.5 * score_v / _NOISE[0] ** 2 - 0.2 * (np.arange(len(_RAMPS)) > 0)
+        log_w = -0.5 * score_w / _NOISE[1] ** 2
+        prior = -(_DELAYS / 0.15)[:, None] - (_LAGS / 0.15)[None, :]
+        log_v = log_v + prior[:, :, None]
+        ideal = log_v[0, 0, 0] + log_w[0, 0]
+        # Each delay by its own scale, lest the likeliest of v and of w have no delay in common.
+        top_v, top_w = log_v.max(axis=(1, 2)), log_w.max(axis=1)
+        p_v = np.exp(log_v - top_v[:, None, None])
+        p_w = np.exp(log_w - top_w[:, None])
+        kernel = np.exp(-0.5 * ((_LAGS[:, None] - _LAGS[None, :]) / _TOGETHER) ** 2)
+        lags_v = p_v.sum(axis=2)
+        joint = lags_v[:, :, None] * kernel[None] * p_w[:, None, :]  # delay, lag of v, lag of w
+        likely = np.log(joint.sum(axis=(1, 2))) + top_v + top_w
+        best = likely.max()
+        joint *= np.exp(likely - best)[:, None, None] / joint.sum(axis=(1, 2))[:, None, None]
+        if not best + math.log(joint.max()) - ideal > _SIGNIFICANT:
+            return self._start
+        joint /= joint.sum()
+        delay, delay_spread = _moments(joint.sum(axis=(1, 2)), _DELAYS)
+        lag_v, lag_v_spread = _moments(joint.sum(axis=(0, 2)), _LAGS)
+        lag_w, lag_w_spread = _moments(joint.sum(axis=(0, 1)), _LAGS)
+        weights = joint.sum(axis=2)[:, :, None] * (p_v / np.maximum(lags_v, 1e-300)[:, :, None])
+        slowness, _ = _moments(weights.sum(axis=(0, 1)), 1.0 / _RAMPS)
+        ramp = 1.0 / slowness if slowness > 0.1 else math.inf
+        spreads = (delay_spread, lag_v_spread, lag_w_spread)
+        return Response(delay, lag_v, lag_w, ramp, spreads)
+
+
+def _moments(weights: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Return mean and standard deviation of values with weights that sum up to 1."""
+    mean = float(weights @ values)
+    return mean, math.sqrt(max(0.0, float(weights @ (values - mean) ** 2)))

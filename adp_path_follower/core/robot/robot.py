@@ -1,0 +1,212 @@
+"""The robot between controller and world: with its model known, it is an ideal unicycle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from adp_path_follower.core.control.actuation import limited_command
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.robot.compensation import compensated, horizon
+from adp_path_follower.core.robot.estimator import StateEstimator
+from adp_path_follower.core.robot.history import CommandHistory
+from adp_path_follower.core.robot.model import RobotModel, RobotState, advanced
+from adp_path_follower.core.robot.response import ResponseBank
+from adp_path_follower.core.robot.trial import Trial
+from adp_path_follower.core.settings.groups import Settings
+
+_SETTLING = 0.3  # [s] over which the model that drives follows the one that was found
+_REVIEW = 0.1  # [s] between two looks at the bank
+_LONGEST_GAP = 1.0  # [s] between two steps of a robot that was controlled all the time
+_LONGEST_PERIOD = 0.1  # [s]: after a pause a command does not make up for it
+_CLIPPED = 0.02  # [m/s, rad/s] by which a limit changes a command
+
+
+def model_of(settings: Settings) -> RobotModel:
+    """Return the model that settings describe."""
+    robot = settings.robot
+    return RobotModel(
+        delay=settings.motion.actuation_delay,
+        linear_lag=robot.robot_lags[0],
+        angular_lag=robot.robot_lags[1],
+        ramp=robot.robot_ramp,
+        linear_gain=robot.robot_gains[0],
+        angular_gain=robot.robot_gains[1],
+        bias=robot.robot_bias,
+    )
+
+
+class Robot:
+    """Tells the controller where the robot will be, and the robot what makes it go there.
+
+    Attributes:
+        model: The model that drives; with `robot_model: ideal` it is not used.
+
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        """Begin with the model of the settings."""
+        self.settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was learned."""
+        self._start = start = model_of(self.settings)
+        self.model = start
+        self._kind = self.settings.robot.robot_model
+        self._learns = self._kind == "learned"
+        self._history = CommandHistory()
+        self._history.ramp = start.ramp
+        self._estimator = StateEstimator(start, self._learns)
+        self._bank = ResponseBank(start)
+        self._trial = Trial()
+        self._found = self._bank.response()
+        self._origin: int | None = None
+        self._now = self._review = 0.0
+        self._period, self._rate = 0.0, np.zeros(2)  # from the last command to the next
+        self._reading: tuple[float, float, float] | None = None
+        self._acting: RobotState | None = None  # when the next command begins to act
+        self._ahead = 0.0
+        self._shown = 0  # the time for which the controller was asked last [ns]
+
+    def take_over(self, settings: Settings) -> None:
+        """Go on with other settings; what was learned stays unless they describe another robot."""
+        same = settings.robot == self.settings.robot and model_of(settings) == self._start
+        self.settings = settings
+        if not same:
+            self.reset()
+
+    def restart(self) -> None:
+        """Begin anew where the robot will be: it was not observed, or carried."""
+        self._origin = None
+        self._estimator.forget_state()
+        self._bank.restart()
+        self._trial.restart()
+        self._history = CommandHistory()
+        self._history.ramp = self.model.ramp
+        self._now = self._review = 0.0
+        self._acting = self._reading = None
+
+    @property
+    def problem(self) -> str:
+        """Return why the ideal model drives in place of the learned one, empty if it does not."""
+        if self._bank.opposed:
+            return "the twist of the odometry contradicts the commands"
+        if self._trial.failed:
+            return "the robot's model explains its motion worse than the ideal one"
+        return ""
+
+    @property
+    def explained(self) -> float:
+        """Return which share of the motion that the ideal model misses the model explains."""
+        return self._trial.explained
+
+    def ahead(
+        self, pose: FloatArray, time: int, motion: FloatArray | None
+    ) -> tuple[FloatArray, int]:
+        """Return where the robot is when the next command is at work, and when that is [ns].
+
+        Args:
+            pose: Its pose by odometry, moved on to now at constant twist, shape (3,).
+            time: Now [ns].
+            motion: Odometry's v, w and age [s], shape (3,), None if they are not known.
+
+        """
+        self._acting = None
+        if self._kind == "ideal" or motion is None:
+            self._origin = None
+            return pose, time
+        if self._origin is None:
+            self._origin, self._shown = time, time
+        now = (time - self._origin) * 1e-9
+        if not 0.0 <= now - self._now <= _LONGEST_GAP:
+            self.restart()
+            self._origin, self._shown, now = time, time, 0.0
+        elapsed, self._now = now - self._now, now
+        self._period = min(elapsed, _LONGEST_PERIOD)
+        self._take(pose.tolist(), *motion.tolist())
+        self._settle(elapsed)
+        if self.problem:
+            return pose, time
+        model, known = self.model, self._estimator.stamp
+        assert known is not None  # it has just taken in a message
+        history = self._history
+        acting = advanced(model, self._estimator.state, history.held(known - model.delay, now))
+        self._acting, self._ahead = acting, horizon(model, 0.0)
+        if self._ahead > 0.0:
+            later = advanced(model, acting, history.ahead(now, self._ahead))
+        else:
+            later = acting
+        seen = time + round(1e9 * (model.delay + self._ahead))
+        self._shown = max(seen, self._shown + round(0.5e9 * elapsed))  # time never runs back
+        return np.array([later.x, later.y, later.theta]), self._shown
+
+    def _take(self, pose: list[float], v: float, w: float, age: float) -> None:
+        """Take in odometry, back at its stamp."""
+        x, y, theta = pose
+        half = 0.5 * w * age
+        chord = v * age * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+        middle = theta - half
+        place = (x - chord * math.cos(middle), y - chord * math.sin(middle), middle - half)
+        stamp = self._now - age
+        self._reading = (stamp, v, w)
+        estimator = self._estimator
+        if estimator.observe(stamp, place, (v, w), self.model, self._history):
+            self._trial.observe(stamp, estimator.state, self.model, self._history)
+
+    def _settle(self, elapsed: float) -> None:
+        """Let the model that drives follow the one that was found."""
+        if not self._learns:
+            return
+        share, found, model = -math.expm1(-elapsed / _SETTLING), self._found, self.model
+        model = replace(
+            model,
+            delay=model.delay + share * (found.delay - model.delay),
+            linear_lag=model.linear_lag + share * (found.linear_lag - model.linear_lag),
+            angular_lag=model.angular_lag + share * (found.angular_lag - model.angular_lag),
+            ramp=found.ramp,
+        )
+        self.model = self._estimator.with_gains(model)
+        self._history.ramp = found.ramp
+
+    def command(self, wanted: FloatArray) -> FloatArray:
+        """Return what to send for a motion [V, W] that the controller wants, shape (2,)."""
+        if self._acting is None:
+            self._send(wanted)
+            return wanted
+        settings = self.settings
+        found = compensated(self.model, (self._acting.v, self._acting.w), wanted, self._ahead)
+        limits = settings.limits
+        command = np.minimum(np.maximum(found, limits.lower), limits.upper)
+        if settings.motion.limited and self._period > 0.0:
+            last = np.array(self._history.last)
+            command = limited_command(
+                command, last, self._rate, limits, settings.motion, self._period
+            )
+            self._rate = (command - last) / self._period
+        self._estimator.frozen = bool((np.abs(command - found) > _CLIPPED).any())
+        self._send(command)
+        return command
+
+    def _send(self, command: FloatArray) -> None:
+        """Note a command, shape (2,)."""
+        if self._origin is not None:
+            v, w = command.tolist()
+            self._history.send(self._now, (v, w))
+
+    def note(self, command: FloatArray) -> None:
+        """Note a command, shape (2,), that is not the controller's: a stop, a turn on the spot."""
+        self._send(command)
+        self._bank.restart()
+
+    def learn(self) -> None:
+        """Learn from the last step."""
+        if not self._learns or self._reading is None:
+            return
+        self._bank.advance(self._now, self._history.last)
+        self._bank.observe(*self._reading)
+        if self._now >= self._review:
+            self._review = self._now + _REVIEW
+            self._found = self._bank.response()

@@ -1,0 +1,165 @@
+"""Compare the default controller, the one that learns its robot, and tuned peers on random robots.
+
+    python bench/robots/random_robots.py [--robots 200] [--first 0] [--plant mujoco]
+        [--contenders default,learned,known,peers] [--cache FILE]
+
+J is taken along the true motion; distances are those of the true pose after 8 s. "Best" means at
+least as good as every variant of every peer on that robot, so each peer is tuned for each robot.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path as FilePath
+
+import numpy as np
+from drives import Outcome, drive, ours, peer, start_pose
+from paths import PATHS
+from plants import AnalyticPlant, Plant
+from robots import Robot, random_robot
+
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
+from adp_path_follower.study.comparison.controllers import Factory
+from adp_path_follower.study.comparison.peers.lapierre_soetanto import TunedLapierreSoetanto
+from adp_path_follower.study.comparison.peers.lqr import Lqr
+from adp_path_follower.study.comparison.peers.pure_pursuit import (
+    PurePursuit,
+    TunedRegulatedPurePursuit,
+)
+from adp_path_follower.study.comparison.peers.stanley import TunedStanley
+
+PEERS: dict[str, Factory] = {
+    **{
+        f"pure pursuit {distance:g} m": type("Pursuit", (PurePursuit,), {"lookahead": distance})
+        for distance in (0.4, 0.6, 0.9, 1.3)
+    },
+    "regulated pure pursuit": TunedRegulatedPurePursuit,
+    "Stanley": TunedStanley,
+    "Lapierre-Soetanto": TunedLapierreSoetanto,
+    "LQR": Lqr,
+}
+_SPEEDS = (0.3, 0.5, 0.7, 1.0)
+_LONGEST = 28.0  # [s]
+
+
+class Case:
+    """A robot, a path, a speed and a start, drawn by a seed."""
+
+    def __init__(self, seed: int, plant: Callable[[Robot, np.ndarray], Plant]) -> None:
+        """Draw them."""
+        rng = np.random.default_rng([seed, 3])
+        self.robot = random_robot(seed)
+        self.path_name = tuple(PATHS)[seed % len(PATHS)]
+        self.path: Path = PATHS[self.path_name]()
+        self.speed = float(rng.choice(_SPEEDS))
+        self._start = rng.uniform([0.0, -0.3, -0.4], [0.0, 0.3, 0.4])
+        self._plant = plant
+
+    def settings(self, **values: object) -> Settings:
+        """Return the settings of the drive, with some changed."""
+        fastest = max(1.0, 1.3 * self.speed)
+        return build(Settings, {"desired_speed": self.speed, "max_linear_vel": fastest, **values})
+
+    def outcome(self, name: str) -> Outcome:
+        """Return the outcome of a contender."""
+        plant = self._plant(self.robot, start_pose(self.path, tuple(self._start)))
+        settings = self.settings(**self._values(name))
+        control = (
+            peer(PEERS[name], settings, self.path) if name in PEERS else ours(settings, self.path)
+        )
+        return drive(plant, control, self.path, settings, _LONGEST)
+
+    def _values(self, name: str) -> Mapping[str, object]:
+        robot, (gain, turn_gain, bias) = self.robot, self.robot.gains
+        return {
+            "default": {"robot_model": "ideal"},
+            "learned": {"robot_model": "learned"},
+            "known": {
+                "robot_model": "given",
+                "actuation_delay": robot.delay,
+                "robot_lags": (robot.lag, robot.lag),
+                "robot_ramp": robot.ramp,
+                "robot_gains": (gain, turn_gain),
+                "robot_bias": bias,
+            },
+        }.get(name, {})
+
+
+def table(found: Mapping[str, Mapping[str, list[float]]]) -> str:
+    """Return shares of the robots on which each of ours is best, and its distances."""
+    seeds = [seed for seed, row in found.items() if any(name in PEERS for name in row)]
+    lines = [
+        "| contender | best in J | best in RMS | best in both | worst J | worst RMS | "
+        "median RMS [mm] | p90 | worst | variation |",
+        "|---|" + "---|" * 9,
+    ]
+    best = {
+        seed: np.min([found[seed][name][:2] for name in PEERS if name in found[seed]], axis=0)
+        for seed in seeds
+    }
+    rows: dict[str, np.ndarray] = {}
+    for name in ("default", "learned", "known"):
+        have = [seed for seed in seeds if name in found[seed]]
+        if not have:
+            continue
+        ratio = np.array([np.array(found[seed][name][:2]) / best[seed] for seed in have])
+        good = ratio <= 1.0
+        distance = 1e3 * np.array([found[seed][name][1] for seed in have])
+        variation = np.median([found[seed][name][2] for seed in have])
+        shares = [good[:, 0].mean(), good[:, 1].mean(), good.all(axis=1).mean()]
+        cells = [f"{100 * share:.0f} %" for share in shares]
+        cells += [f"{value:.2f}" for value in ratio.max(axis=0)]
+        cells += [f"{np.median(distance):.1f}", f"{np.quantile(distance, 0.9):.1f}"]
+        cells += [f"{distance.max():.0f}", f"{variation:.2f}"]
+        lines.append(f"| {name} ({len(have)}) | " + " | ".join(cells) + " |")
+        rows[name] = ratio
+    distance = 1e3 * np.array([value[1] for value in best.values()])
+    lines.append(
+        f"| best peer | | | | | | {np.median(distance):.1f} | "
+        f"{np.quantile(distance, 0.9):.1f} | {distance.max():.0f} | |"
+    )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what the cache lacks, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--plant", choices=("analytic", "mujoco"), default="analytic")
+    parser.add_argument("--contenders", default="default,learned,known,peers")
+    parser.add_argument("--cache", type=FilePath, default=None)
+    options = parser.parse_args()
+    plant: Callable[[Robot, np.ndarray], Plant] = AnalyticPlant
+    if options.plant == "mujoco":
+        from mujoco_plant import MujocoPlant
+
+        plant = MujocoPlant
+    names: list[str] = []
+    for name in options.contenders.split(","):
+        names += PEERS if name == "peers" else [name]
+    found: dict[str, dict[str, list[float]]] = {}
+    if options.cache is not None and options.cache.exists():
+        found = json.loads(options.cache.read_text())
+    for seed in range(options.first, options.first + options.robots):
+        row = found.setdefault(str(seed), {})
+        case = Case(seed, plant)
+        for name in names:
+            if name not in row:
+                outcome = case.outcome(name)
+                row[name] = [outcome.cost, outcome.rms, outcome.variation]
+        if options.cache is not None:
+            options.cache.write_text(json.dumps(found))
+        best = np.min([row[name][:2] for name in PEERS if name in row] or [[math.nan] * 2], axis=0)
+        shown = {name: [round(v, 4) for v in row[name]] for name in row if name not in PEERS}
+        print(seed, case.path_name, case.speed, "peer", best.round(4).tolist(), shown, flush=True)
+    print(table(found))
+
+
+if __name__ == "__main__":
+    main()

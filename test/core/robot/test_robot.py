@@ -1,0 +1,136 @@
+"""The controller learns the robot that it drives, and does no harm where there is nothing to."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from drives import drive, ours, start_pose
+from paths import bend
+from plants import AnalyticPlant
+from robots import TYPICAL, Robot
+
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.path.library import circle
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
+
+PATH = bend()
+START = (0.0, 0.1, -0.2)
+
+
+def settings(model="learned", **values):
+    return build(Settings, {"robot_model": model, **values})
+
+
+def run(robot, duration=16.0, path=PATH, tuning=None, seen=None):
+    tuning = tuning or settings()
+    plant = AnalyticPlant(robot, start_pose(path, START))
+    return drive(plant, ours(tuning, path, seen), path, tuning, duration)
+
+
+class Models:
+    """Keeps the models that drove."""
+
+    def __init__(self):
+        self.driver, self.found = None, []
+
+    def __call__(self, time, driver, output):
+        """Note that of a step."""
+        self.driver = driver
+        self.found.append(driver.robot.model)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_it_finds_the_robot(seed):
+    robot = dataclasses.replace(TYPICAL, seed=seed)
+    models = Models()
+    outcome = run(robot, seen=models)
+    model, (gain, turn_gain, bias) = models.found[-1], robot.gains
+    assert model.delay + model.angular_lag == pytest.approx(robot.delay + robot.lag, abs=0.03)
+    assert model.delay == pytest.approx(robot.delay, abs=0.04)
+    assert model.ramp == pytest.approx(robot.ramp, rel=0.3)
+    assert model.linear_gain == pytest.approx(gain, abs=0.006)
+    assert model.angular_gain == pytest.approx(turn_gain, abs=0.025)
+    assert model.bias == pytest.approx(bias, abs=0.01)
+    assert models.driver.robot.explained > 0.5
+    assert outcome.rms < 0.004
+    ideal = run(robot, tuning=settings("ideal"))
+    assert outcome.rms < 0.5 * ideal.rms
+    assert outcome.cost < ideal.cost
+    assert outcome.variation < ideal.variation
+
+
+def test_a_robot_that_is_given_is_driven_as_well():
+    gain, turn_gain, bias = TYPICAL.gains
+    given = settings(
+        "given",
+        actuation_delay=TYPICAL.delay,
+        robot_lags=[TYPICAL.lag, TYPICAL.lag],
+        robot_ramp=TYPICAL.ramp,
+        robot_gains=[gain, turn_gain],
+        robot_bias=bias,
+    )
+    models = Models()
+    outcome = run(TYPICAL, tuning=given, seen=models)
+    assert outcome.rms < 0.004
+    assert len(set(models.found)) == 1
+
+
+def test_an_ideal_robot_is_driven_as_before():
+    robot = Robot()
+    models = Models()
+    learned, ideal = run(robot, seen=models), run(robot, tuning=settings("ideal"))
+    assert learned.cost == pytest.approx(ideal.cost, rel=1e-4)
+    assert all(model.delay == model.angular_lag == 0.0 for model in models.found)
+
+
+def test_two_drives_are_equal_to_the_last_bit():
+    first, second = run(TYPICAL, 5.0), run(TYPICAL, 5.0)
+    assert first.trace.tolist() == second.trace.tolist()
+
+
+def test_gains_stay_where_the_pose_is_reckoned_from_the_encoders():
+    robot = dataclasses.replace(TYPICAL, dead_reckoned=True)
+    models = Models()
+    run(robot, seen=models)
+    model = models.found[-1]
+    assert model.linear_gain == pytest.approx(1.0, abs=0.003)
+    assert model.angular_gain == pytest.approx(1.0, abs=0.01)
+    assert model.bias == pytest.approx(0.0, abs=0.004)
+
+
+def test_reset_forgets_the_robot():
+    models = Models()
+    run(TYPICAL, 5.0, seen=models)
+    assert models.driver.robot.model.delay > 0.0
+    models.driver.reset_learning()
+    assert models.driver.robot.model.ideal
+
+
+def test_without_its_motion_the_robot_is_taken_for_ideal():
+    learned, ideal = Driver(settings()), Driver(settings("ideal"))
+    pose, time = np.array([0.1, -0.2, 0.3]), 0
+    for driver in (learned, ideal):
+        driver.follow(circle(0.5))
+    for _ in range(5):
+        time += 10_000_000
+        found = [driver.step(pose, time).command.tolist() for driver in (learned, ideal)]
+        assert found[0] == found[1]
+
+
+def test_encoders_with_the_wrong_sign_do_no_more_harm_than_before():
+    class Reversed(AnalyticPlant):
+        def arrived(self):
+            return [
+                dataclasses.replace(found, twist=found.twist * [1.0, -1.0])
+                for found in super().arrived()
+            ]
+
+    found = {}
+    for model in ("learned", "ideal"):
+        tuning = settings(model)
+        plant = Reversed(TYPICAL, start_pose(PATH, START))
+        found[model] = drive(plant, ours(tuning, PATH), PATH, tuning, 16.0)
+    assert math.isfinite(found["learned"].cost)
+    assert found["learned"].rms < max(0.02, 1.3 * found["ideal"].rms)
