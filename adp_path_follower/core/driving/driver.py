@@ -263,11 +263,7 @@ class Driver:
         Command, error and target pose are the robot's own, also in reverse. Learning from
         the step waits for `learn`, so that the command can be sent before.
 
-        Args:
-            pose: The pose by odometry, moved on to the time at constant twist.
-            time: Time of the step [ns].
-            motion: Odometry's v [m/s], w [rad/s] and age [s], shape (3,); without it the robot's
-                model is not used.
+        Motion is odometry's v, w and age [s]; without it the robot's model is not used.
 
         Raises:
             SettingsError: No policy can be found for these settings on this path.
@@ -281,7 +277,9 @@ class Driver:
         ahead, then = self.robot.ahead(pose, time, motion)
         if self._follower is None:
             self._begin(pose)
-            self._lead(pose, ahead, (then - time) * 1e-9)
+            if then > time and self._follower is not None:
+                facing = self._present.heading_of_path
+                self._follower.lead(facing(pose), facing(ahead), (then - time) * 1e-9)
         elif self._at_segment_end and not self.at_goal and self._turn is None:
             self._standstill = self._standstill or Standstill()
             if not self._standstill.reached(pose, time):
@@ -297,8 +295,8 @@ class Driver:
             if turning is not None:
                 return turning
         assert self._follower is not None  # one has just begun, if there was none
-        facing = self._present.heading_of_path(ahead)
-        self._output = self._follower.step_at(facing, then, learn=False)
+        facing_ahead = self._present.heading_of_path(ahead)
+        self._output = self._follower.step_at(facing_ahead, then, learn=False)
         self._to_learn = True
         output = self._own(self._output)
         command = self.robot.command(output.command)
@@ -360,12 +358,6 @@ class Driver:
         if settings.robot.robot_model != "ideal":  # whose delay is predicted there
             settings = update(settings, {"actuation_delay": 0.0})
         return turned_settings(settings) if self._present.reverse else settings
-
-    def _lead(self, pose: FloatArray, ahead: FloatArray, time: float) -> None:
-        """Let the target move on until a robot (3,) is ahead (3,), after a time [s]."""
-        if time > 0.0 and self._follower is not None:
-            facing = self._present.heading_of_path
-            self._follower.lead(facing(pose), facing(ahead), time)
 
     def _begin(self, pose: FloatArray) -> None:
         route, left, controller = self.route, self._left, self.settings.controller
