@@ -19,14 +19,16 @@ from adp_path_follower.cli.options import (
 )
 from adp_path_follower.cli.outputs import check_writable, json_option, write_json, write_npz
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.errors import FileError, PathError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.weights_file import read_weights
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.path.library import named_route
+from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.criteria import SETTLED
+from adp_path_follower.study.simulation.route import is_plain, simulate_route
 from adp_path_follower.study.simulation.simulate import (
     LEARNING_MODES,
     ControllerFactory,
@@ -36,6 +38,7 @@ from adp_path_follower.study.simulation.simulate import (
 from adp_path_follower.study.simulation.simulate import (
     simulate as run_simulation,
 )
+from sim_unicycle.settings import PlantSettings
 
 _ROWS_SHOWN = 20
 
@@ -100,8 +103,18 @@ def simulate(
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
     plant, faults = without_nodes(load_simulator(sim_params, sim_assignments))
-    path = named_path(path_name, settings.path)
+    route = named_route(path_name, settings.path)
     errors = collect_starts(starts, starts_file)
+    if not is_plain(route):
+        plain = weights_file is None and npz_file is None and learning != "warm"
+        if not plain or start_arc_length or faults.entries:
+            raise PathError(
+                f"path '{path_name}' has turns on the spot or is driven backwards: leave out "
+                "--weights, --npz, --start-arc-length, fault_script and --learning warm"
+            )
+        _simulate_route(settings, route, errors, duration, rate, learning, plant, json_file)
+        return
+    path = route.segments[0].path
     check_writable(json_file, npz_file)
     make_controller: ControllerFactory = PathFollower
     if weights_file is not None:
@@ -133,6 +146,32 @@ def simulate(
     if failed and not allow_failures:
         click.echo(f"adp: {failed} of {len(errors)} runs left the path", err=True)
         sys.exit(1)
+
+
+def _simulate_route(
+    settings: Settings,
+    route: Route,
+    starts: FloatArray,
+    duration: float,
+    rate: float,
+    learning: str,
+    plant: PlantSettings,
+    json_file: FilePath | None,
+) -> None:
+    """Simulate runs of a route, and write what came out."""
+    check_writable(json_file)
+    learns = settings.learning.learning and learning != "frozen"
+    settings = settings.with_changes(learning=learns, path_start="beginning")
+    with progress_bar(f"simulating {len(starts)} runs of {duration:g} s") as progress:
+        runs = simulate_route(settings, route, starts, duration, rate, plant, progress)
+    click.echo("   s [m]   y [m]  θ [rad]        cost J  goal [s]  backwards [s]   ends at")
+    for run in runs:
+        (s, y, theta), end = run.start, ", ".join(f"{value:.3f}" for value in run.final_pose)
+        goal = f"{run.goal_time:8.2f}" if np.isfinite(run.goal_time) else "       –"
+        times = f"{goal}  {run.reversed_for:13.2f}"
+        click.echo(f"{s:8.3f}{y:8.3f}{theta:9.3f}{run.cost:14.6f}  {times}   ({end})")
+    if json_file is not None:
+        write_json(json_file, {"runs": [vars(run) for run in runs]})
 
 
 def _speed(simulated: float, elapsed: float) -> str:

@@ -19,7 +19,7 @@ from adp_path_follower.cli import main
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.ros.runtime import entry
 from commands import adp
-from folders import CONFIG, DATA
+from folders import CASES, CONFIG, DATA
 
 OPTIMUM = json.loads((DATA / "optimum.json").read_text())
 PAPER = str(CONFIG / "paper.yaml")
@@ -353,3 +353,22 @@ def test_an_output_that_does_not_fit_leaves_what_was_there(tmp_path, monkeypatch
         write_json(file, {"a": 2})
     assert json.loads(file.read_text()) == {"a": 1}
     assert [item.name for item in tmp_path.iterdir()] == ["x.json"]
+
+
+def test_simulate_drives_turns_on_the_spot_and_to_the_heading_at_the_goal(tmp_path):
+    turns = ["--path", str(CASES / "turn_on_the_spot.csv"), "--start", "0", "0", "0"]
+    reversing = ["--set", "allow_reversing=true", "--set", "min_linear_vel=-0.3"]
+    done = adp("simulate", *turns, *reversing, "--json", "runs.json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (run,) = json.loads((tmp_path / "runs.json").read_text())["runs"]
+    assert run["reversed_for"] == 0.0
+    assert run["goal_time"] < 15.0
+    np.testing.assert_allclose(run["final_pose"][:2], 0.0, atol=0.06)
+    assert abs(math.remainder(run["final_pose"][2] - math.pi, math.tau)) < 0.1
+    goal = ["--path", str(CASES / "goal_yaw.csv"), "--start", "0", "0", "0"]
+    done = adp("simulate", *goal, "--json", "runs.json", cwd=tmp_path)
+    (run,) = json.loads((tmp_path / "runs.json").read_text())["runs"]
+    assert run["final_pose"][2] == pytest.approx(2.0, abs=0.1)
+    refused = adp("simulate", *goal, "--npz", "runs.npz", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "has turns on the spot or is driven backwards" in refused.stderr

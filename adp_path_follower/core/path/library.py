@@ -17,6 +17,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.points import distinct_points, joined
 from adp_path_follower.core.path.preparation import prepare
+from adp_path_follower.core.path.route import Route, route_of
 from adp_path_follower.core.settings.groups import PathSettings
 
 PATH_HELP = (
@@ -100,6 +101,24 @@ def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path
     points, closed = read_points(file)
     try:
         return path_through(points, closed, settings)
+    except PathError as error:
+        raise PathError(f"path file {file}: {error}") from None
+
+
+def named_route(name: str, settings: PathSettings) -> Route:
+    """Return the route of a name as the controller drives it: also backwards, or with turns.
+
+    Raises PathError for an unknown name or points that make no path, FileError for a file that is
+    missing or of another format.
+    """
+    if not is_path_file(name):
+        return route_of(named_path(name))
+    file = expanded(name)
+    poses, closed = read_poses(file)
+    oriented = poses.ndim == 2 and poses.shape[1] == 3
+    points, headings = (poses[:, :2], poses[:, 2]) if oriented else (poses, None)
+    try:
+        return prepare(points, settings, headings, closed)
     except PathError as error:
         raise PathError(f"path file {file}: {error}") from None
 
