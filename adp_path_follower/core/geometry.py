@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 Number = FloatArray | float  # of shape (...), or the same for all
@@ -61,7 +61,7 @@ def numbers(array: FloatArray) -> tuple[FloatArray, ...]:
 
 def _of_one_or_many(
     one: Callable[[float], float], many: Callable[[FloatArray], FloatArray]
-) -> Callable[[FloatArray], FloatArray]:
+) -> Callable[[Number], FloatArray]:
     """Return a function of a single number, or of arrays of any shape."""
 
     def function(value: Any) -> Any:
@@ -104,10 +104,9 @@ def where(condition: Any, then: Any, otherwise: Any) -> Any:
     return then if condition else otherwise
 
 
-def wrap_angle(angle: ArrayLike) -> FloatArray:
+def wrap_angle(angle: Number) -> FloatArray:
     """Return the angle [rad] wrapped to [-pi, pi), same shape."""
-    number: Any = angle if isinstance(angle, float) else np.asarray(angle)[()]
-    wrapped = (number + math.pi) % (2.0 * math.pi) - math.pi
+    wrapped = (angle + math.pi) % (2.0 * math.pi) - math.pi
     inside: FloatArray = where(wrapped >= math.pi, -math.pi, wrapped)  # rounding may reach pi
     return inside
 
@@ -117,17 +116,15 @@ def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
-def advance_pose(pose: FloatArray, linear: ArrayLike, angular: ArrayLike, dt: float) -> FloatArray:
+def advance_pose(pose: FloatArray, linear: Number, angular: Number, dt: float) -> FloatArray:
     """Return poses [x, y, theta] after a constant twist was held for a time, shape (..., 3).
 
     Exact for the unicycle x' = v cos(theta), y' = v sin(theta), theta' = w: the motion is an arc
     whose chord has the heading theta + w dt / 2 and the length v dt sinc(w dt / 2). The velocities
     v [m/s] and w [rad/s] have shape (...), dt is in seconds.
     """
-    v: Any = linear if isinstance(linear, float) else np.asarray(linear)[()]
-    w: Any = angular if isinstance(angular, float) else np.asarray(angular)[()]
-    half_turn = w * (0.5 * dt)
-    chord = v * dt * sinc(half_turn)
+    half_turn, distance = angular * (0.5 * dt), linear * dt
+    chord: FloatArray = np.multiply(distance, sinc(half_turn))
     x, y, theta = numbers(pose)
     middle = theta + half_turn
     return components(x + chord * cos(middle), y + chord * sin(middle), theta + 2.0 * half_turn)

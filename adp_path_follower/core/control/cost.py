@@ -20,8 +20,9 @@ class RunningCost:
     def __call__(self, error: FloatArray, modified_input: FloatArray) -> FloatArray:
         """Return the running cost of errors (..., 3) and inputs (..., 2), shape (...)."""
         if error.ndim == modified_input.ndim == 1:
-            state, control = error @ self.state_cost @ error, modified_input @ self.input_cost
-            return np.asarray(state + control @ modified_input)[()]
+            e, u = error, modified_input
+            cost: FloatArray = e @ self.state_cost @ e + u @ self.input_cost @ u
+            return cost
         state = (error @ self.state_cost * error).sum(axis=-1)
         control = (modified_input @ self.input_cost * modified_input).sum(axis=-1)
         return np.asarray(state + control)

@@ -65,7 +65,7 @@ def drift(
 
 def input_matrix(zeta: FloatArray) -> FloatArray:
     """Return g of zeta' = f(zeta) + g(zeta) u, shape (..., 4, 2)."""
-    theta = zeta[..., 2][()]
+    theta = zeta[..., 2]
     matrix = np.zeros((*theta.shape, 4, 2))
     matrix[..., 0, 0] = np.cos(theta)
     matrix[..., 1, 0] = np.sin(theta)

@@ -42,7 +42,7 @@ class RiccatiPolicy:
     ) -> FloatArray:
         """Return u within the limits at states (..., 4) for [v_ss, w_ss], shape (..., 2)."""
         input_gradient = np.matmul(self._basis.gradient(zeta), input_matrix(zeta))
-        matrix = self._riccati.matrix(curvature, feedforward[..., 0][()])
+        matrix = self._riccati.matrix(curvature, feedforward[..., 0])
         weights = self._basis.quadratic_weights(matrix)
         wanted = actor_input(weights, input_gradient, self._input_cost_inverse)
         return saturate(wanted, feedforward, self._limits)
@@ -52,7 +52,8 @@ class RiccatiPolicy:
         half_angle_error = half_angle_state(zeta)[..., :3]
         matrix = self._riccati.matrix(curvature, v_des)
         if half_angle_error.ndim == 1:
-            return np.asarray(half_angle_error @ matrix @ half_angle_error)[()]
+            value: FloatArray = half_angle_error @ matrix @ half_angle_error
+            return value
         pulled = np.matmul(matrix, half_angle_error[..., None])[..., 0]
         return np.asarray((half_angle_error * pulled).sum(axis=-1))
 
@@ -72,7 +73,7 @@ class Distrust:
     def reset(self) -> None:
         """Forget the past: the next decision takes effect at once."""
         self._share: FloatArray | None = None
-        self._trusted_for: FloatArray = np.array(math.inf)[()]
+        self._trusted_for: Number = math.inf
 
     def share(self, doubtful: np.ndarray, dt: float) -> FloatArray:
         """Return how much of the Riccati policy drives, from 0 to 1, dt [s] later, shape (...)."""

@@ -94,7 +94,7 @@ class WideRegion:
         share = np.clip((level - start) / (end - start), 0.0, 1.0)
         share = (share * share * (3.0 - 2.0 * share))[..., None]
         if self._policy.wide_region == "approach":
-            wanted = self._approach(zeta, self._riccati.matrix(curvature, feedforward[..., 0][()]))
+            wanted = self._approach(zeta, self._riccati.matrix(curvature, feedforward[..., 0]))
             far = saturate(wanted, feedforward, self._limits)
         else:
             far = self._far.modified_input(zeta, curvature, feedforward)

@@ -33,7 +33,7 @@ class VirtualTarget:
         reference: SpeedReference | None = None,
     ) -> None:
         """Start at arc lengths [m] of the path, with `desired_speed` if there is no reference."""
-        self.arc_length = np.asarray(arc_length, dtype=float)
+        self.arc_length = np.asarray(arc_length, dtype=float)[()]  # one robot: a number
         self._reference = reference or ConstantSpeed(target)
         self.v_des = self._reference.speed(self.arc_length)
         self._path, self._target = path, target

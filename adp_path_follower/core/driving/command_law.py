@@ -137,8 +137,8 @@ class CommandLaw:
         self, frame: PathFrame, error: FloatArray, arc_length: FloatArray, v_des: Number
     ) -> Situation:
         """Return zeta, the feedforward and the value function where the robot is, equation (1)."""
-        target, curvature = self.settings.target, frame.curvature[()]
-        phi = error_dynamics.path_state(arc_length[()], target)
+        target, curvature = self.settings.target, frame.curvature
+        phi = error_dynamics.path_state(arc_length, target)
         s, y, theta = numbers(error)
         zeta = components(s, y, theta, phi)
         return Situation(

@@ -132,7 +132,7 @@ class KnotWeights:
         if isinstance(arc_length, float):
             place = 0.0 if math.isnan(arc_length) else arc_length / self.spacing
             return np.float64(clamped(place, -_FARTHEST, _FARTHEST))
-        place = np.where(np.isnan(arc_length), 0.0, arc_length)[()] / self.spacing
+        place = np.where(np.isnan(arc_length), 0.0, arc_length) / self.spacing
         return np.minimum(np.maximum(place, -_FARTHEST), _FARTHEST)
 
     def local(self, arc_length: FloatArray) -> LocalWeights:

@@ -179,7 +179,7 @@ class Path:
 
     def frame(self, arc_length: ArrayLike) -> PathFrame:
         """Return pose and curvature at arc lengths s_p [m] of any shape."""
-        position = np.asarray(arc_length, dtype=float)[()]
+        position = np.asarray(arc_length, dtype=float)
         beyond = None
         if self.closed:
             inside = position - self.length * np.floor(position / self.length)
@@ -194,7 +194,7 @@ class Path:
         heading = np.arctan2(contiguous(dy), contiguous(dx))
         curvature = (dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5
         if beyond is not None:
-            curvature = np.where(beyond == 0.0, curvature, 0.0)
+            curvature = np.where(beyond == 0.0, curvature, 0.0)[()]
             x, y = x + beyond * np.cos(heading), y + beyond * np.sin(heading)
         return PathFrame(components(x, y, heading), curvature)
 

@@ -104,13 +104,14 @@ class SpeedProfile:
         """
         if not self.varies:
             return self._desired
-        place = arc_length[()]
+        place = arc_length
         if self._closed:
             place = place - self._length * np.floor(place / self._length)
         position = np.fmin(np.fmax(place / self._step, 0.0), len(self._squared) - 1.0)
         node = np.minimum(position.astype(np.intp), len(self._squared) - 2)
         squared, ahead = self._squared[node], self._squared[node + 1]
-        return np.asarray(np.sqrt(squared + (position - node) * (ahead - squared)))[()]
+        speed: Number = np.sqrt(squared + (position - node) * (ahead - squared))
+        return speed
 
     def model_speed(self, arc_length: FloatArray) -> Number:
         """Return v_des, but nowhere less than `slowest`."""
@@ -160,7 +161,7 @@ class SpeedReference:
         """Approach the profile from a speed (...) [m/s] at arc lengths (...) [m]."""
         if self._limited:
             from_rest = np.maximum(speed, self._profile.slowest)  # at zero it would never start
-            self._start = (np.asarray(arc_length)[()], from_rest**2)
+            self._start = (arc_length, from_rest**2)
 
     def speed(self, arc_length: FloatArray) -> Number:
         """Return v_des at arc lengths (...) [m], as `SpeedProfile.speed`."""
@@ -168,12 +169,12 @@ class SpeedReference:
         if self._start is None:
             return wanted
         start, squared = self._start
-        run = np.maximum(arc_length[()] - start, 0.0)
+        run = np.maximum(arc_length - start, 0.0)
         if math.isfinite(self._fall):
             wanted = np.maximum(wanted, np.sqrt(np.maximum(squared - self._fall * run, 0.0)))
         if math.isfinite(self._rise):
             wanted = np.minimum(wanted, np.sqrt(squared + self._rise * run))
-        return np.asarray(wanted)[()]
+        return wanted
 
 
 def _at_most_rising_by(values: FloatArray, steps: FloatArray) -> FloatArray:
