@@ -36,7 +36,8 @@ def unpacked(array: FloatArray) -> tuple[FloatArray, ...]:
 def inner(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the inner products of vectors (..., L), shape (...)."""
     if first.ndim == second.ndim == 1:
-        return np.asarray(first @ second)[()]
+        product: FloatArray = first @ second
+        return product
     return np.asarray((first * second).sum(-1))
 
 

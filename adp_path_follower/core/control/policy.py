@@ -1,10 +1,8 @@
 """The policy u = -1/2 R^-1 g^T sigma'^T Wa, and the limits of the command."""
 
-from typing import Any
-
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, clamped, components, numbers
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import LimitSettings
 
 
@@ -34,24 +32,11 @@ def saturate(
     """
     if limits.unlimited:
         return modified_input
-    if modified_input.ndim > 1 or feedforward.ndim > 1:
-        return np.asarray(within(modified_input + feedforward, limits) - feedforward)
-    (v_e, w_e), (v_ss, w_ss) = numbers(modified_input), numbers(feedforward)
-    v, w = _clamped(v_e + v_ss, w_e + w_ss, limits)
-    return components(v - v_ss, w - w_ss)
+    return within(modified_input + feedforward, limits) - feedforward
 
 
 def within(command: FloatArray, limits: LimitSettings) -> FloatArray:
     """Return the command [v, w] that is nearest within the limits, shape (..., 2)."""
     if limits.unlimited:
         return command
-    if command.ndim > 1:
-        return np.asarray(np.minimum(np.maximum(command, limits.lower), limits.upper))
-    v, w = numbers(command)
-    return components(*_clamped(v, w, limits))
-
-
-def _clamped(v: Any, w: Any, limits: LimitSettings) -> tuple[Any, Any]:
-    """Return one robot's v and w within the limits."""
-    lowest, highest = limits.lower.tolist(), limits.upper.tolist()
-    return clamped(v, lowest[0], highest[0]), clamped(w, lowest[1], highest[1])
+    return np.minimum(np.maximum(command, limits.lower), limits.upper)

@@ -11,22 +11,14 @@ from adp_path_follower.core.learning.weights import Weights
 
 @dataclass(frozen=True)
 class FollowerOutput(ControlOutput):
-    """The result of one control step of `PathFollower`.
+    """The result of one control step of `PathFollower`."""
 
-    Attributes:
-        running_cost: e^T Q e + u^T R u, shape (...).
-        weights: Critic and actor weights that gave the command, shape (..., L) each.
-        measured: Bellman error at the measured state.
-        sampled: How well the samples determine the weights.
-        doubt: Share of the Riccati policy, because the learned value function does not decrease
-            here as it must, shape (...).
-
-    """
-
-    running_cost: FloatArray
-    weights: Weights
-    measured: BellmanErrors
-    sampled: Evidence
+    running_cost: FloatArray  # e^T Q e + u^T R u, shape (...)
+    weights: Weights  # critic and actor weights that gave the command, shape (..., L) each
+    measured: BellmanErrors  # at the measured state
+    sampled: Evidence  # how well the samples determine the weights
+    # Share of the Riccati policy, because the learned value function does not decrease here as
+    # it must, shape (...).
     doubt: FloatArray
 
     @property

@@ -85,15 +85,9 @@ class KnotWeights:
         self._held.reshape(self.capacity, len(self._robots))[:, robots] = _EMPTY
 
     def slots(self, knots: np.ndarray, robots: np.ndarray | None = None) -> np.ndarray:
-        """Return where knots are stored, with initial weights if they are new.
+        """Return where knots (..., n) of robots (n,), by default all, are stored, shape (..., n).
 
-        Args:
-            knots: Shape (..., n), or (..., 1) for the same knots of all these robots.
-            robots: Their indices, shape (n,), by default all.
-
-        Returns:
-            Slots, shape (..., n).
-
+        New ones have initial weights. Knots (..., 1) are the same for all these robots.
         """
         number = self.number(knots)
         slots = self._places(number, robots)
@@ -195,9 +189,7 @@ class KnotWeights:
     def learned(self, reach: int) -> LearnedWeights:
         """Return the first robot's weights at the knots where something was learned.
 
-        Args:
-            reach: How many knots ahead its next sweep reaches.
-
+        Its next sweep reaches so many knots ahead.
         """
         slots = np.flatnonzero(self._held != _EMPTY)
         slots = slots[slots % len(self._robots) == 0]
@@ -219,12 +211,7 @@ class KnotWeights:
         )
 
     def start_from(self, learned: LearnedWeights) -> str:
-        """Take the weights of a run on a path of the same curvature, wherever it lay.
-
-        Returns:
-            Why this path is another one, empty if it is not.
-
-        """
+        """Take the weights of a path of the same curvature; return why not, empty if it did."""
         path, knots = self._path, learned.knots
         if learned.closed != path.closed or not math.isclose(
             learned.length, path.length, rel_tol=_SAME_LENGTH

@@ -41,17 +41,10 @@ class Sweep:
         self._equations = part if self._equations is None else self._equations + part
         self._done = until
 
-    def finish(
-        self,
-        critic: KnotCritic,
-        weights: FloatArray,
-        elapsed: float,
-        curvature: float,
-        speed: float,
-    ) -> None:
-        """Update the critic of the next knot, all of whose samples are used; see `KnotCritic`."""
+    def finish(self, critic: KnotCritic, weights: FloatArray, *knot: float) -> None:
+        """Update the critic weights of the next knot, as `KnotCritic.update`."""
         assert self._equations is not None  # there are samples
-        update = critic.update(self._equations, weights, elapsed, curvature, speed)
+        update = critic.update(self._equations, weights, *knot)
         self.updates.append(update)
         self._ahead = update.weights
         self._done, self._equations = 0, None
@@ -62,7 +55,7 @@ class Group:
     """Robots that began the same sweep in the same step, and go through it together."""
 
     robots: np.ndarray  # their indices, shape (n,)
-    sweep: Sweep  # the sweep
+    sweep: Sweep
     index: int = 0  # how many of its knots they have passed
     # Where their weights of the present knot are stored, shape (n,).
     slots: np.ndarray | None = None
