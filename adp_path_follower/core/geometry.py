@@ -70,7 +70,7 @@ def _of_one_or_many(
             return many(value)
         try:
             return one(value)
-        except ValueError:  # of what is infinite
+        except ValueError:  # of an infinite number
             return math.nan
 
     return function
@@ -92,14 +92,14 @@ sinc = _of_one_or_many(
 
 
 def clamped(value: Any, lowest: float, highest: float) -> Any:
-    """Return a number, or an array of any shape, within bounds; what is not a number stays."""
+    """Return a number, or an array of any shape, within bounds; NaN stays."""
     if isinstance(value, float):
         return min(max(value, lowest), highest)
     return np.minimum(np.maximum(value, lowest), highest)
 
 
 def where(condition: Any, then: Any, otherwise: Any) -> Any:
-    """Return one of two numbers, or what `numpy.where` does for arrays."""
+    """Return one of two numbers, or `numpy.where` of arrays."""
     if isinstance(condition, np.ndarray):
         return np.where(condition, then, otherwise)
     return then if condition else otherwise

@@ -1,4 +1,4 @@
-"""The recent commands of a robot: the last one, and commands that are still under way."""
+"""The recent commands of a robot: the last one, and those that have not taken effect yet."""
 
 import math
 from collections import deque
@@ -35,7 +35,7 @@ class Actuation:
         self.stop(forget=True)
 
     def stop(self, forget: bool = False) -> None:
-        """Note that the robot was told to stop; forget what was under way if that is long ago."""
+        """Note a stop of the robot; forget earlier commands if that is long ago."""
         self.stopped = True
         self.command: FloatArray = np.zeros(2)
         self._rate: FloatArray = np.zeros(2)
@@ -46,7 +46,7 @@ class Actuation:
             self._sent.append((self._clock, self.command))
 
     def turn_round(self) -> None:
-        """Tell the same to a robot that faces the other way: forwards is backwards."""
+        """Go on with a robot that faces the other way: forwards is backwards."""
         self.command, self._rate = turned_command(self.command), turned_command(self._rate)
         self._sent = deque((sent, turned_command(command)) for sent, command in self._sent)
 
@@ -58,11 +58,11 @@ class Actuation:
             self._sent.popleft()
 
     def predicted(self, pose: FloatArray, delay: float) -> FloatArray:
-        """Return poses (..., 3) to which the commands under way lead within a delay [s]."""
+        """Return poses (..., 3) after the commands that take effect within a delay [s]."""
         if delay <= 0.0 or not self._sent:
             return pose
-        # A command sent at t moves the robot from t + delay on: what was in force over the last
-        # `delay` is what is to come.
+        # A command sent at t moves the robot from t + delay on, so the commands of the last `delay`
+        # are still to come.
         begin = self._clock - delay
         starts = np.maximum([sent for sent, _ in self._sent], begin)
         durations = np.diff(starts, append=self._clock)

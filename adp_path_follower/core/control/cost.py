@@ -1,4 +1,4 @@
-"""The running cost, and what motion between two control steps costs."""
+"""The running cost, and the cost of motion between two control steps."""
 
 import numpy as np
 

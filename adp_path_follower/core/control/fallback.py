@@ -3,8 +3,8 @@
 Along the learned policy the learned value function changes by V' = delta - r, with the Bellman
 error delta and the running cost r. While delta <= c r with c < 1, V falls at least by (1 - c) r, so
 that a V that is not negative bounds the cost to come by V / (1 - c) (relaxed dynamic programming).
-Where that does not hold, or V is much smaller than the Riccati solution's value, what was learned
-is not to be trusted, and the Riccati policy drives.
+Where that does not hold, or V is much smaller than the Riccati solution's value, the learned policy
+is doubtful, and the Riccati policy drives.
 """
 
 import math
@@ -19,8 +19,8 @@ from adp_path_follower.core.geometry import FloatArray, Number, clamped, where
 from adp_path_follower.core.settings.groups import Settings
 
 _MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
-_LEAST_VALUE = 0.5  # of the Riccati solution's value: the learned value likewise
-_NOTHING = 0.005  # [m], [rad]: nobody minds errors below, and in their cost approximations decide
+_LEAST_VALUE = 0.5  # of the Riccati solution's value: a smaller learned value is doubtful
+_NOTHING = 0.005  # [m], [rad]: smaller errors do not matter, and approximations decide their cost
 _ROUNDING = 1e-12  # a cost in which rounding decides
 _PROBATION = 0.5  # [s] without doubt, before the learned policy drives again
 _CHANGE_TIME = 0.2  # [s] from one policy to the other
@@ -62,12 +62,12 @@ class Distrust:
     """Decides, robot by robot, when the Riccati policy drives in place of the learned one.
 
     A mixture of two policies, each of which leads to the path, can stand still where the two
-    cancel. So it is one or the other: once what was learned is doubted, the Riccati policy drives
-    until there has been no doubt for a while, and the change takes a moment either way.
+    cancel. So only one drives: after a doubt the Riccati policy drives until there has been none
+    for a while, and each change takes a moment.
     """
 
     def __init__(self) -> None:
-        """Begin without a past."""
+        """Begin without earlier doubt."""
         self.reset()
 
     def reset(self) -> None:

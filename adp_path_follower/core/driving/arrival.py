@@ -1,4 +1,4 @@
-"""Whether a robot has come to the end of its path, or stands beside it."""
+"""Decides whether a robot has come to the end of its path, or stands beside it."""
 
 import math
 from collections import deque
@@ -33,7 +33,7 @@ class Goal:
         self._waited = 0.0
 
     def look(self, pose: FloatArray, output: ControlOutput, dt: float) -> None:
-        """Note where robots are, poses (..., 3), and what they were told, dt [s] after the last."""
+        """Note poses (..., 3) and commands of robots, dt [s] after the last."""
         if not self._open:
             return
         tolerance = self._motion.xy_goal_tolerance

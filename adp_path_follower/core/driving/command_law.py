@@ -51,7 +51,7 @@ class Situation:
 
 
 class CommandLaw:
-    """Turns the error to the virtual target into a command, by what the learner knows.
+    """Turns the error to the virtual target into a command, with the learner's weights.
 
     Attributes:
         settings: All settings.

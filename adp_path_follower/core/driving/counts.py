@@ -1,4 +1,4 @@
-"""Counts of what happened to a robot besides its control steps, as a configuration names them."""
+"""Counts of resets, restarts and stops, as a configuration names them."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""One robot on the paths that come: what stays when path, settings or place change."""
+"""Drives one robot and keeps its state across new paths, settings and restarts."""
 
 from __future__ import annotations
 
@@ -221,7 +221,7 @@ class Driver:
         return True
 
     def stopped(self) -> bool:
-        """Note that the robot was told to stop; return if it had been told anything else."""
+        """Note a stop of the robot; return whether it had another command before."""
         if self._actuation.stopped:
             return False
         self._actuation.stop()
@@ -230,7 +230,7 @@ class Driver:
         return True
 
     def catch_up(self, counts: Counts) -> None:
-        """Do what the robot met until it had these counts, as far as it is not done yet."""
+        """Reset learning, stop and restart where these counts differ, and take them over."""
         if counts.learning_resets != self.counts.learning_resets:
             self.reset_learning()
         if counts.stops != self.counts.stops:

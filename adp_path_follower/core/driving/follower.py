@@ -201,7 +201,7 @@ class PathFollower:
         self._learner.reset(where)
 
     def take_over(self, previous: PathFollower) -> None:
-        """Take over what another follower has learned, as far as it holds for this one.
+        """Take over the weights of another follower, as far as they hold for this one.
 
         One set of weights for the whole path is kept and learns on. Weights along a path are kept
         while they are those of the same path and problem; of another one, the Riccati solution is
@@ -210,7 +210,7 @@ class PathFollower:
         self._learner.take_over(previous._learner)
 
     def saved_weights(self) -> SavedWeights:
-        """Return what was learned and what it belongs to, for a weights file."""
+        """Return the learned weights and their settings, for a weights file."""
         return SavedWeights(problem_settings(self.settings), self._learner.learned())
 
     def start_from(self, saved: SavedWeights) -> str:

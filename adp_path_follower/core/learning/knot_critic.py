@@ -16,7 +16,7 @@ from adp_path_follower.core.learning.update_laws import relax
 from adp_path_follower.core.settings.learning import LearningSettings
 
 _MOST_RESIDUAL = 0.5  # of the running cost: a critic that explains less is refused
-_LEAST_EXCITATION = 1e-8  # above what the ridge of the fit leaves of a singular matrix
+_LEAST_EXCITATION = 1e-8  # above the ridge of the fit, which a singular matrix keeps
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class NormalEquations:
     matrix: FloatArray  # sum_j c_j x_j x_j^T, shape (L, L)
     vector: FloatArray  # sum_j c_j r_j x_j, shape (L,)
     offset: float  # sum_j c_j r_j^2
-    running_cost: float  # sum_j c_j (e^T Q e + u^T R u)^2, what the residual is compared with
+    running_cost: float  # sum_j c_j (e^T Q e + u^T R u)^2, the residual's measure
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
         """Return the sums over the samples of both."""

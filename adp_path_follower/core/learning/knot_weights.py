@@ -56,7 +56,7 @@ class KnotWeights:
         profile: SpeedProfile,
         robots: int = 1,
     ) -> None:
-        """Lay the knots along a path, for so many robots."""
+        """Lay the knots along a path, for a number of robots."""
         learning = settings.learning
         self._learning, self._path, self._riccati = learning, path, riccati
         self._profile = profile
@@ -69,7 +69,7 @@ class KnotWeights:
         knots = count if path.closed else count + 2 + 2 * self.window
         self.capacity = min(_MOST_KNOTS, knots)
         self._robots = np.arange(robots)
-        # The system gives this memory where there is something to keep.
+        # The system provides this memory only where something is written.
         slots = self.capacity * robots
         self.critic, self.actor = np.zeros((slots, self.size)), np.zeros((slots, self.size))
         self.curvatures, self.speeds = np.zeros(slots), np.zeros(slots)
@@ -182,7 +182,7 @@ class KnotWeights:
         return basis.quadratic_weights(self._riccati.matrix(curvature, speed))
 
     def end(self, knot: int) -> FloatArray:
-        """Return what is ahead of a sweep from a knot: the Riccati solution, shape (L,)."""
+        """Return Wc ahead of a sweep from a knot: the Riccati solution, shape (L,)."""
         knots = np.array([knot])
         return np.asarray(self.safe(self.curvature(knots), self.speed(knots))[0])
 

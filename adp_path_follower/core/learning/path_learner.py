@@ -36,10 +36,10 @@ from adp_path_follower.core.settings.groups import Settings
 
 _REST_SHARE = 4  # a learner rests while its robot passes one of so many parts of the preview
 _MOST_UPDATES = 20_000  # that all sweeps together remember: 20 MB with 80 weights
-_AT_ONCE = 16  # robots whose actors follow at once: what that takes fits into the caches
+_AT_ONCE = 16  # robots whose actors follow at once, so that their weights fit into the caches
 _NEVER = np.iinfo(np.int64).max // 2  # a knot that no robot reaches
 
-MODEL_SETTINGS = (  # that decide what is learned
+MODEL_SETTINGS = (  # that decide the weights
     "basis",
     "basis_degree",
     "frame",
@@ -212,7 +212,7 @@ class PathLearner:
             rough = far - near <= self._window and self._shares and at_once > self._knots.size
             samples = min(at_once, everything) if rough else everything
             sweep = Sweep(near, far, samples, self._knots.end(far))
-            if self._shares and self._count > 1:  # one robot has nobody to share it with
+            if self._shares and self._count > 1:  # one robot shares with none
                 self._sweeps[near, far] = sweep
         return sweep
 

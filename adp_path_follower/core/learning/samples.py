@@ -42,8 +42,9 @@ def scattered_samples(count: int, half_widths: tuple[float, ...], seed: int) -> 
 def scrambled_sobol_points(count: int, seed: int) -> FloatArray:
     """Return the first points, at most 2**30, of a Sobol sequence in the unit cube, (count, 4).
 
-    Scrambled by a random linear matrix and a digital shift (Matousek 1998), the same for the same
-    seed: the numbers that ``scipy.stats.qmc.Sobol(4, seed=seed)`` gives, to the last bit.
+    Scrambled by a random linear matrix and a digital shift (Matousek 1998). These are the numbers
+    of ``scipy.stats.qmc.Sobol(4, seed=seed)`` to the last bit; scipy.stats is not used, as its
+    import takes about as long as that of the whole controller.
     """
     rng = np.random.default_rng(seed)
     dimensions = len(_DIMENSIONS)
@@ -64,7 +65,7 @@ def scrambled_sobol_points(count: int, seed: int) -> FloatArray:
 
 
 def _direction_numbers() -> np.ndarray:
-    """Return what each bit of a point's number adds to the point, shape (4, bits)."""
+    """Return the contribution of each bit of a point's number, shape (4, bits)."""
     found = np.empty((len(_DIMENSIONS), _BITS), dtype=np.uint32)
     for row, (polynomial, first) in enumerate(_DIMENSIONS):
         numbers = list(first) or [1] * _BITS

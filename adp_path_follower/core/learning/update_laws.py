@@ -100,7 +100,7 @@ def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return the solutions of linear systems (..., L, L), NaN of those that have none."""
     try:
         return np.asarray(np.linalg.solve(matrix, vector[..., None])[..., 0])
-    except np.linalg.LinAlgError:  # the numbers of a robot that is lost: it must not stop others
+    except np.linalg.LinAlgError:  # one robot's numbers are broken: it must not stop others
         if matrix.ndim == 2:
             return np.full_like(vector, np.nan, dtype=matrix.dtype)
         return np.stack([_solve(*pair) for pair in zip(matrix, vector, strict=True)])

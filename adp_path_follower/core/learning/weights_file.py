@@ -45,7 +45,7 @@ class SavedWeights:
 
 
 def problem_settings(settings: Settings) -> dict[str, Value]:
-    """Return the settings that decide what is learned, name: value."""
+    """Return the settings that decide the weights, name: value."""
     along_path = settings.learning.scheduling == "arc_length"
     names = {*_BASIS, *(MODEL_SETTINGS if along_path else ())}
     names |= {field.name for field in setting_fields(Settings) if field.group in _GROUPS}
@@ -165,7 +165,7 @@ def _unpacked(content: bytes) -> dict[str, np.ndarray]:
         }
     except _DamageError:
         raise
-    except Exception as error:  # whatever the libraries make of damaged bytes
+    except Exception as error:  # any exception of the libraries for damaged bytes
         raise _DamageError(str(error)) from None
 
 
