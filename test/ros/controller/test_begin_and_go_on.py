@@ -13,6 +13,8 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.geometry import advance_pose
+from adp_path_follower.core.path.library import read_poses
+from adp_path_follower.ros.runtime.conversions import poses_message
 from adp_path_follower.study.replay.replay import replay
 from folders import CASES
 
@@ -119,6 +121,32 @@ def test_a_stopped_robot_goes_on_where_it_stopped_and_replays(peer, start, tmp_p
     for node in (controller, recorder):
         node.stop()
     assert farthest_from(route, way_of(odometry)[::10]) < 0.05
+    again = replay(read_run(tmp_path / "bag"))
+    assert again.answered.sum() > 200
+    assert again.identical[again.answered].all()
+
+
+def test_a_path_that_is_shortened_while_driving_is_gone_on_with_and_replays(peer, start, tmp_path):
+    """As planners do; with a turn on the spot, and a stop in it."""
+    odometry = peer.listen(Odometry, "odom", 10_000)
+    controller = start("controller", learning=False, max_linear_decel=1.0)
+    recorder = start("recorder", output=str(tmp_path / "bag"))
+    start("sim_unicycle")
+    peer.until_matched(peer.path)
+    peer.until(lambda: "recording /cmd_vel\n" in recorder.output(), "a recorder")
+    poses, _ = read_poses(CASES / "turn_on_the_spot.csv")
+    peer.path.publish(poses_message(poses, "odom", 0))
+    peer.until(lambda: odometry[-1].pose.pose.position.x > 0.3, "a beginning")
+    peer.path.publish(poses_message(poses[4:], "odom", 0))
+    turning = lambda: odometry[-1].pose.pose.orientation.z > 0.3  # noqa: E731
+    peer.until(turning, "a turn")
+    assert peer.call(Trigger, "path_follower/stop").success
+    assert peer.call(Trigger, "path_follower/resume").success
+    peer.until(lambda: "goal reached" in controller.output(), "the goal")
+    assert controller.output().count("goes on at") == 2
+    for node in (controller, recorder):
+        node.stop()
+    assert way_of(odometry)[:, 0].max() == pytest.approx(1.0, abs=0.06)
     again = replay(read_run(tmp_path / "bag"))
     assert again.answered.sum() > 200
     assert again.identical[again.answered].all()
