@@ -109,7 +109,7 @@ class Basis(Protocol):
         """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
 
     def expansion(self, zeta: FloatArray) -> Expansion:
-        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
+        """Return sigma and the parts of sigma' at states of shape (..., 4)."""
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
@@ -155,7 +155,7 @@ class QuadraticBasis:
         return self.expansion(zeta).gradient
 
     def expansion(self, zeta: FloatArray) -> Expansion:
-        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
+        """Return sigma and the parts of sigma' at states of shape (..., 4)."""
         offset = self._offset.T
         slope = (zeta @ self._flat_slope).reshape(*zeta.shape[:-1], *offset.shape)
         value = np.matmul(zeta[..., None, :], 0.5 * slope + offset)[..., 0, :]
@@ -229,7 +229,7 @@ class PolynomialBasis:
         return self.expansion(zeta).gradient
 
     def expansion(self, zeta: FloatArray) -> Expansion:
-        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
+        """Return sigma and the parts of sigma' at states of shape (..., 4)."""
         table = self._powers(zeta)
         together = table.take(self._factors[0], axis=-1)
         for factor in self._factors[1:]:
@@ -297,7 +297,7 @@ class HalfAngleBasis:
         return self.expansion(zeta).gradient
 
     def expansion(self, zeta: FloatArray) -> Expansion:
-        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
+        """Return sigma and the parts of sigma' at states of shape (..., 4)."""
         turned, frame = _half_angle(zeta)
         inner = self._basis.expansion(turned)
         return Expansion(inner.value, inner.partials, frame)

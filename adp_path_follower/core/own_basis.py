@@ -88,7 +88,7 @@ class _OwnBasis:
         return self.expansion(zeta).gradient
 
     def expansion(self, zeta: FloatArray) -> Expansion:
-        """Return sigma and what sigma' is made of at states of shape (..., 4)."""
+        """Return sigma and the parts of sigma' at states of shape (..., 4)."""
         slopes = np.asarray(self._basis.gradient(zeta[..., :3]), float)
         return Expansion(self.value(zeta), np.ascontiguousarray(np.swapaxes(slopes, -1, -2)))
 

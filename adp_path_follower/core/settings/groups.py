@@ -73,7 +73,7 @@ class CostSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse costs without a minimum."""
+        """Reject costs without a minimum."""
         eigenvalues = np.linalg.eigvalsh(self.state_cost_matrix())
         if eigenvalues[0] < -1e-12 * max(1.0, eigenvalues[-1]):  # zero, but for rounding
             raise SettingsError(
@@ -212,7 +212,7 @@ class MotionSettings:
 
 @dataclass(frozen=True)
 class PathSettings:
-    """Paths as they come."""
+    """Path preparation."""
 
     path_tolerance: float = setting(
         0.05,
@@ -238,7 +238,7 @@ class PathSettings:
     allow_reversing: bool = setting(
         False,
         "Drive backwards where a path turns back on itself, or where the orientations of its poses "
-        "point against the motion; false refuses such a path. Needs min_linear_vel below 0. Holds "
+        "point against the motion; false rejects such a path. Needs min_linear_vel below 0. Holds "
         "from the next path on.",
     )
 
@@ -344,7 +344,7 @@ class Settings:
     controller: ControllerSettings
 
     def __post_init__(self) -> None:
-        """Refuse to reverse without a speed for it."""
+        """Reject reversing without a speed for it."""
         if self.path.allow_reversing and self.limits.min_linear_vel >= 0.0:
             raise SettingsError(
                 "setting 'allow_reversing' is true, but 'min_linear_vel' is 0: set it to the speed "

@@ -163,7 +163,7 @@ class LearningSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse parts, weights and grids that do not fit each other."""
+        """Reject parts, weights and grids that do not fit each other."""
         basis = self.value_basis
         if self.scheduling == "arc_length" and basis.depends_on_path_state:
             raise SettingsError(
@@ -217,7 +217,7 @@ class LearningSettings:
 
 @dataclass(frozen=True)
 class PolicySettings:
-    """Where nothing is learned, or nothing good."""
+    """Fallback and far policies."""
 
     fallback: str = setting(
         "riccati",
@@ -250,7 +250,7 @@ class PolicySettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse levels that do not rise."""
+        """Reject levels that do not rise."""
         start, end = self.wide_region_levels
         if not start < end:
             raise SettingsError(

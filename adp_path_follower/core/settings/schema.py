@@ -148,7 +148,7 @@ def flatten(tree: object) -> dict[str, Value]:
 
 
 def unknown_name(name: str, known: Sequence[str] | Mapping[str, object]) -> str:
-    """Return the sentence that refuses an unknown setting and proposes the nearest known one."""
+    """Return the sentence that rejects an unknown setting and proposes the nearest known one."""
     near = difflib.get_close_matches(name, list(known), n=1)
     hint = f"; did you mean '{near[0]}'?" if near else "; `adp parameters` lists all of them"
     return f"unknown setting '{name}'{hint}"
@@ -184,7 +184,7 @@ def _checked_item(kind: type, spec: Spec, value: object) -> Any:
         value = float(value)
     if not isinstance(value, kind) or not _is_choice(spec, value):
         raise ValueError
-    if isinstance(value, int | float) and not spec.low <= value <= spec.high:  # refuses NaN too
+    if isinstance(value, int | float) and not spec.low <= value <= spec.high:  # rejects NaN too
         raise ValueError
     return value
 
@@ -221,7 +221,7 @@ def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:
 def yaml_text(value: Value) -> str:
     """Return a value as YAML that the ROS parameter parser reads with the same type.
 
-    That parser refuses lists that mix integers and floats, and takes ``1`` for an integer, so a
+    That parser rejects lists that mix integers and floats, and takes ``1`` for an integer, so a
     float always carries its point.
     """
     if isinstance(value, tuple):
