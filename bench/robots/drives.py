@@ -27,7 +27,7 @@ Control = Callable[[float, Odometry], FloatArray]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a drive cost.
+    """The cost of a drive.
 
     Attributes:
         cost: J along the true motion.

@@ -19,7 +19,7 @@ _GRAVITY = 9.81  # [m/s^2]
 
 @dataclass(frozen=True)
 class Odometry:
-    """What odometry says of a time of measurement [s]: pose (3,) and encoders' v, w (2,)."""
+    """Odometry of a time of measurement [s]: pose (3,) and encoders' v, w (2,)."""
 
     stamp: float
     pose: FloatArray

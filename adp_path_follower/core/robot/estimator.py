@@ -57,7 +57,7 @@ class StateEstimator:
         if learns:
             self._covariance[_GAINS, _GAINS] = np.diag(_GAINS_START)
         self._outliers = 0
-        # What a change of v or w in the middle between two messages does until the second.
+        # The effect of a change of v or w halfway between two messages until the second.
         self._pushes = np.zeros((8, 2))
         self._pushes[3, 0] = self._pushes[4, 1] = 1.0
 
@@ -182,7 +182,7 @@ class StateEstimator:
         keeps = np.eye(8)
         keeps[:, :5] -= gain
         self._covariance = keeps @ self._covariance @ keeps.T + (gain * self.noise) @ gain.T
-        # What a message differs by, less what the state may differ by.
+        # The deviation of a message, less that of the state.
         found = surprise * surprise - (expected.diagonal() - self.noise)
         found[3:] = np.where(jumps > 0.0, self.noise[3:], found[3:])
         found[:2] = 0.5 * (found[0] + found[1])

@@ -1,7 +1,7 @@
 """Delay, lags and ramp from how the encoders answer the commands: a bank of models.
 
 Each member of the bank filters the commands with its own lag and ramp; the encoders' velocity is
-compared with all of them, at each of several delays. What the bank has seen weighs its members,
+compared with all of them, at each of several delays. The evidence weighs the members of the bank,
 and their weighted mean is the model.
 """
 
@@ -42,7 +42,7 @@ class Response:
         linear_lag: [s].
         angular_lag: [s].
         ramp: [m/s^2].
-        deviations: Of delay and lags [s].
+        deviations: Standard deviations of delay and lags [s].
 
     """
 
