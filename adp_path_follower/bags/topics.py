@@ -1,7 +1,5 @@
 """Which topics of a bag hold the run, by their names and types."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -43,18 +41,11 @@ _PLAIN = (*_ASKED, "ground_truth", "diagnostics")  # not under the node's name
 
 @dataclass(frozen=True)
 class Choice:
-    """The topics that a run is read from.
+    """The topics that a run is read from."""
 
-    Attributes:
-        topics: Key -> topic.
-        kinds: Key -> the type of the messages that are read.
-        notes: Sentences about what is left out, or taken for want of a better name.
-
-    """
-
-    topics: Mapping[str, str]
-    kinds: Mapping[str, str]
-    notes: tuple[str, ...]
+    topics: Mapping[str, str]  # key -> topic
+    kinds: Mapping[str, str]  # key -> the type of the messages that are read
+    notes: tuple[str, ...]  # sentences about what is left out, or taken for want of a better name
 
 
 class _Bag:
@@ -77,12 +68,7 @@ class _Bag:
         return sorted(topic for topic in self.counts if self.kind(topic, allowed))
 
     def named(self, key: str, name: str) -> str:
-        """Return the topic that was asked for.
-
-        Raises:
-            FileError: It is not in the bag, or has another type.
-
-        """
+        """Return the topic that was asked for; FileError if it is missing or of another type."""
         topic, allowed = f"/{name.removeprefix('/')}", _TYPES[key]
         if topic not in self.counts:
             listed = ", ".join(self.of_type(allowed)) or "none"
@@ -97,12 +83,7 @@ class _Bag:
         return topic
 
     def by_name(self, key: str, odom: str) -> tuple[str, list[str]]:
-        """Return the topic of a key, or "", and notes.
-
-        Raises:
-            FileError: Several have its name.
-
-        """
+        """Return the topic of a key, or "", and notes; FileError if several have its name."""
         allowed = _TYPES[key]
         wanted = key if key in _PLAIN else f"{_NODE}/{key}"
         found = sorted(topic for topic in self.counts if f"/{topic}".endswith(f"/{wanted}"))
@@ -133,17 +114,10 @@ class _Bag:
 def chosen_topics(
     bag: FilePath, connections: Sequence[Connection], names: Mapping[str, str]
 ) -> Choice:
-    """Return which topics a run is read from.
+    """Return which topics of a bag, with all its connections, a run is read from.
 
-    Args:
-        bag: For messages.
-        connections: All of the bag.
-        names: Key -> the topic to take for it, empty for none.
-
-    Raises:
-        FileError: A topic that was asked for is not in it or has another type, or it is not clear
-            which one is meant.
-
+    `names` maps a key to the topic to take for it, empty for none. Raises FileError if such a topic
+    is missing or has another type, or if it is not clear which one is meant.
     """
     content = _Bag(bag, connections)
     topics: dict[str, str] = {}

@@ -1,7 +1,5 @@
 """Make a new, whole bag of what can be read in a torn one."""
 
-from __future__ import annotations
-
 import io
 import re
 import shutil
@@ -58,20 +56,12 @@ _SUMMARY_OPCODES = (
 
 @dataclass(frozen=True)
 class Recovery:
-    """The result of recovering a torn bag.
+    """The result of recovering a torn bag."""
 
-    Attributes:
-        bag: The new bag.
-        message_counts: Topic -> number of messages saved.
-        bytes_read: Size of the torn bag's files.
-        bytes_left: How much of it could not be used; in a compressed chunk, counted unpacked.
-
-    """
-
-    bag: FilePath
-    message_counts: Mapping[str, int]
-    bytes_read: int
-    bytes_left: int
+    bag: FilePath  # the new bag
+    message_counts: Mapping[str, int]  # topic -> number of messages saved
+    bytes_read: int  # size of the torn bag's files
+    bytes_left: int  # how much of it could not be used; in a compressed chunk, counted unpacked
 
 
 def recover(
@@ -81,20 +71,16 @@ def recover(
 ) -> Recovery:
     """Copy all messages that can be read into a new bag, with their bytes, times and schemas.
 
-    How unreadable stretches are found and passed is told at `RecordScanner.records`. A chunk
-    with a wrong checksum is left as a whole, as nobody can tell which message is meant; a chunk
-    that is cut off gives its whole messages. Where there is no checksum (a file
-    without chunks, a chunk that lost its beginning or its end), bits that changed within a message
-    cannot be seen. Attachments are not copied. A record or unpacked chunk of more than 128 MiB is
-    left, as memory is bounded.
+    Unreadable stretches are found and passed as `RecordScanner.records` says. A chunk with a wrong
+    checksum is left as a whole, as the wrong message is unknown; a chunk that is cut off gives its
+    whole messages. Where there is no checksum (a file without chunks, a chunk that lost its
+    beginning or its end), bits that changed within a message cannot be seen. Attachments are not
+    copied. A record or unpacked chunk of more than 128 MiB is left, as memory is bounded.
 
     Args:
         bag: A bag's directory, or one .mcap file. It is not changed.
         output: The new bag; by default beside the old one, named NAME_recovered.
         progress: Takes the fraction done.
-
-    Returns:
-        Messages that were saved.
 
     Raises:
         FileError: There is no such bag, it holds nothing to recover, or the new one exists or

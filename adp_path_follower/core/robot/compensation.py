@@ -9,8 +9,6 @@ With h far below the lag this inverts the lag, and with it every error of the es
 above, it waits for the lag. The controller is asked for the pose at now + delay + h.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -35,14 +33,9 @@ def horizon(model: RobotModel, noise: float) -> float:
 def compensated(
     model: RobotModel, acting: tuple[float, float], wanted: FloatArray, ahead: float
 ) -> FloatArray:
-    """Return the command, shape (2,), that brings the robot to a motion.
+    """Return the command (2,) that brings a robot to a wanted motion V, W (2,) in h [s].
 
-    Args:
-        model: The robot.
-        acting: The wheels' v_a [m/s] and w_a [rad/s] when the command begins to act.
-        wanted: The robot's V and W, shape (2,).
-        ahead: The horizon h [s].
-
+    `acting` is the wheels' v_a [m/s] and w_a [rad/s] when the command begins to act.
     """
     v, w = model.wheels(*wanted.tolist())
     return np.array(

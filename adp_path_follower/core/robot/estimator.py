@@ -90,13 +90,8 @@ class StateEstimator:
     ) -> bool:
         """Take in a message; return whether it is newer than the last one.
 
-        Args:
-            stamp: Its time [s].
-            pose: x [m], y [m], theta [rad].
-            twist: v [m/s], w [rad/s] of the encoders.
-            model: Gives delay, lags and ramp.
-            history: The commands that were sent until then.
-
+        It has a time [s], x [m], y [m], theta [rad], and v [m/s], w [rad/s] of the encoders. The
+        model gives delay, lags and ramp, the history the commands that were sent until then.
         """
         elapsed = _LONGEST if self.stamp is None else stamp - self.stamp
         if elapsed <= 0.0:

@@ -1,7 +1,5 @@
 """The commands that a robot was sent lately."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 

@@ -1,7 +1,5 @@
 """Whether a model explains the robot's motion better than the ideal unicycle does."""
 
-from __future__ import annotations
-
 import math
 
 from adp_path_follower.core.robot.history import CommandHistory

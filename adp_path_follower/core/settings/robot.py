@@ -1,7 +1,5 @@
 """The settings of the robot's model."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
