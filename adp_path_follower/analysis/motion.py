@@ -25,6 +25,7 @@ class Motion:
 
     Attributes:
         along: Distance driven since the pose before, negative backwards [m], shape (N,).
+        hidden: Way beyond that, of a robot that turned back between two poses [m], shape (N,).
         reach: How far the robot may have driven since then [m], shape (N,).
         carried: Whether the robot, or its odometry, was put elsewhere in between, shape (N,).
         noise: Standard deviation of the positions [m], as far as they tell.
@@ -33,6 +34,7 @@ class Motion:
     """
 
     along: FloatArray
+    hidden: FloatArray
     reach: FloatArray
     carried: np.ndarray
     noise: float
@@ -48,6 +50,7 @@ class Motion:
                 chords = _chords(self.position[rows], max(_LEAST_STRIDE, _NOISES * self.noise))
                 # A robot that moves sideways, or whose heading says nothing, has chords only.
                 total += own if own >= _ACROSS * chords else chords
+                total += float(self.hidden[rows[1:]].sum())
         return total
 
 
@@ -85,8 +88,13 @@ def motion_of(time: FloatArray, poses: FloatArray, speed: FloatArray, cut: np.nd
     sharp = (np.abs(half) > _SHARP) & np.isfinite(said)  # the step is no arc, and says little
     along = np.where(carried, 0.0, np.where(sharp, said, along))
     across = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
+    noise = _noise(across, carried)
+    before = np.concatenate([speed[:1], speed[:-1]])
+    both = 0.5 * (np.abs(speed) + np.abs(before)) * period  # there and back
+    turned = (speed * before < 0.0) & np.isfinite(said) & ~carried & (both > _FILTER * noise)
+    hidden = np.where(turned, np.maximum(both - np.abs(along), 0.0), 0.0)
     reach = np.fmax(np.abs(along), np.abs(said))
-    return Motion(along, reach, carried, _noise(across, carried), poses[:, :2])
+    return Motion(along, hidden, reach, carried, noise, poses[:, :2])
 
 
 def _agrees(length: FloatArray, said: FloatArray) -> bool:
