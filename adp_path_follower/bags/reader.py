@@ -35,35 +35,25 @@ class Diagnostic:
 
 @dataclass(frozen=True)
 class Run:
-    """A recorded run.
+    """A recorded run."""
 
-    Attributes:
-        series: Topic (without namespace) -> its messages. Poses are x, y, theta; odometry has
-            v, w behind them; commands are v, w; errors s, y, theta.
-        paths: Arrival [ns] and x, y, heading (NaN without), shape (N, 3), of each path that differs
-            from the one before.
-        configurations: Arrival [ns] and text (YAML) of what the controller said it runs with.
-        message_counts: Topic -> number of messages, of every topic in the bag.
-        diagnostics: Changes in /diagnostics.
-        topics: Key in `series` and "path" -> the topic that it was read from.
-        notes: Sentences about data that were left out.
-        initial_weights: Content of the weights file that the controller started from, empty
-            without one.
-        path_frames: Frame of each of `paths`; empty where it is not known.
-        span: First and last arrival in the bag [ns].
-
-    """
-
+    # Topic (without namespace) -> its messages. Poses are x, y, theta; odometry has v, w behind
+    # them; commands are v, w; errors s, y, theta.
     series: Mapping[str, Series]
+    # Arrival [ns] and x, y, heading (NaN without), shape (N, 3), of each path that differs from the
+    # one before.
     paths: tuple[tuple[int, FloatArray], ...]
+    # Arrival [ns] and text (YAML) of what the controller said it runs with.
     configurations: tuple[tuple[int, str], ...]
-    message_counts: Mapping[str, int]
-    diagnostics: tuple[Diagnostic, ...] = ()
+    message_counts: Mapping[str, int]  # topic -> number of messages, of every topic in the bag
+    diagnostics: tuple[Diagnostic, ...] = ()  # changes in /diagnostics
+    # Key in `series` and "path" -> the topic that it was read from.
     topics: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # sentences about data that were left out
+    # Content of the weights file that the controller started from, empty without one.
     initial_weights: bytes = b""
-    path_frames: tuple[str, ...] = ()
-    span: tuple[int, int] = (0, 0)
+    path_frames: tuple[str, ...] = ()  # frame of each of `paths`; empty where it is not known
+    span: tuple[int, int] = (0, 0)  # first and last arrival in the bag [ns]
 
     @property
     def path_points(self) -> FloatArray:

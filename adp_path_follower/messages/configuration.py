@@ -20,25 +20,17 @@ _NOTHING = Counts()
 
 @dataclass(frozen=True)
 class Configuration:
-    """The configuration of a controller from some control step on.
+    """The configuration of a controller from some control step on."""
 
-    Attributes:
-        values: Setting -> value, as far as the bag says.
-        path_digest: `Route.digest` of the route that is followed, empty without one.
-        transform: x [m], y [m] and turn [rad] by which the path was brought from its own frame
-            into the odometry's, empty where both are the same.
-        after_step: Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
-        counts: Resets, restarts and stops since the node's start.
-        saved_weights: Digest of the weights file that it started from, empty without one.
-
-    """
-
-    values: Mapping[str, object]
-    path_digest: str = ""
+    values: Mapping[str, object]  # setting -> value, as far as the bag says
+    path_digest: str = ""  # `Route.digest` of the route that is followed, empty without one
+    # x [m], y [m] and turn [rad] by which the path was brought from its own frame into the
+    # odometry's, empty where both are the same.
     transform: tuple[float, ...] = ()
+    # Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
     after_step: int = NO_STEP
-    counts: Counts = _NOTHING
-    saved_weights: str = ""
+    counts: Counts = _NOTHING  # resets, restarts and stops since the node's start
+    saved_weights: str = ""  # digest of the weights file that it started from, empty without one
 
     @property
     def settings(self) -> Settings:

@@ -42,20 +42,12 @@ Factory = Callable[[Settings, Path, FloatArray], Controller]
 
 @dataclass(frozen=True)
 class Peer:
-    """A controller to compare with.
+    """A controller to compare with."""
 
-    Attributes:
-        name: Name in tables and on the command line.
-        description: Description, and where it is published.
-        factory: Makes it from settings, path and the virtual targets' arc lengths (B,) [m].
-        control_rate: Steps per second [Hz]; None for the simulation's.
-
-    """
-
-    name: str
-    description: str
-    factory: Factory
-    control_rate: float | None = None
+    name: str  # name in tables and on the command line
+    description: str  # description, and where it is published
+    factory: Factory  # makes it from settings, path and the virtual targets' arc lengths (B,) [m]
+    control_rate: float | None = None  # steps per second [Hz]; None for the simulation's
 
 
 def _nmpc(settings: Settings, path: Path, arc_length: FloatArray) -> Controller:

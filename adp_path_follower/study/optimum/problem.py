@@ -30,20 +30,12 @@ class OptimumError(AdpError):
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion over time.
+    """A motion over time."""
 
-    Attributes:
-        cost: J, infinite for a guess.
-        time: Shape (T,) [s].
-        state: s [m], y [m], theta [rad], s_p [m], shape (T, 4).
-        modified_input: u = [v_e, w_e], shape (T, 2).
-
-    """
-
-    cost: float
-    time: FloatArray
-    state: FloatArray
-    modified_input: FloatArray
+    cost: float  # J, infinite for a guess
+    time: FloatArray  # shape (T,) [s]
+    state: FloatArray  # s [m], y [m], theta [rad], s_p [m], shape (T, 4)
+    modified_input: FloatArray  # u = [v_e, w_e], shape (T, 2)
 
     def at(self, time: FloatArray) -> Motion:
         """Return the motion at other times, going straight on beyond its end."""

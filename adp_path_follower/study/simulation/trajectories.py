@@ -13,30 +13,17 @@ from adp_path_follower.core.learning.weights import Weights
 
 @dataclass(frozen=True)
 class Trajectories:
-    """The course of B runs over T control steps.
+    """The course of B runs over T control steps."""
 
-    Attributes:
-        time: Time since the start [s], shape (T,).
-        pose: True pose, shape (B, T, 3).
-        error: e = [s, y, theta], shape (B, T, 3).
-        arc_length: s_p [m], shape (B, T).
-        command: [v, w], shape (B, T, 2).
-        modified_input: u = [v_e, w_e], shape (B, T, 2).
-        critic_weights: Wc, shape (B, T, L); L = 0 for controllers without.
-        actor_weights: Wa, shape (B, T, L).
-        bellman_error: delta at the state, shape (B, T); NaN for controllers without.
-
-    """
-
-    time: FloatArray
-    pose: FloatArray
-    error: FloatArray
-    arc_length: FloatArray
-    command: FloatArray
-    modified_input: FloatArray
-    critic_weights: FloatArray
-    actor_weights: FloatArray
-    bellman_error: FloatArray
+    time: FloatArray  # time since the start [s], shape (T,)
+    pose: FloatArray  # true pose, shape (B, T, 3)
+    error: FloatArray  # e = [s, y, theta], shape (B, T, 3)
+    arc_length: FloatArray  # s_p [m], shape (B, T)
+    command: FloatArray  # [v, w], shape (B, T, 2)
+    modified_input: FloatArray  # u = [v_e, w_e], shape (B, T, 2)
+    critic_weights: FloatArray  # Wc, shape (B, T, L); L = 0 for controllers without
+    actor_weights: FloatArray  # Wa, shape (B, T, L)
+    bellman_error: FloatArray  # delta at the state, shape (B, T); NaN for controllers without
 
 
 class TrajectoryRecorder:
