@@ -173,7 +173,7 @@ def test_the_start_is_chosen_by_the_settings():
     there_and_back = Route((Segment(Path.from_points([[0, 0], [4, 0]])),) * 3)
     assert new_start(there_and_back, pose, build(Settings, chosen).controller).segment == 2
     beyond = build(Settings, chosen | {"start_arc_length": 23.0})
-    with pytest.raises(SettingsError, match=r"is 23, but the path is 21\.98 m long"):
+    with pytest.raises(SettingsError, match=r"is 23, but the path is 21.97 m long"):
         new_start(route, pose, beyond.controller)
 
 
@@ -211,3 +211,9 @@ def test_another_path_and_a_job_that_is_done_begin_anew():
     longer = route_of(Path.from_points([[0.0, 0.0], [9.0, 0.0]]))
     done = left_at(route_of(line), 6.0, done=True)
     assert next_place(longer, done.pose, done).arc_length == pytest.approx(6.0, abs=0.03)
+
+
+def test_a_robot_that_is_beyond_all_bounds_is_looked_for_all_the_same():
+    for route in (route_of(circle(0.5)), route_of(Path.from_points([[0.0, 0.0], [40.0, 0.0]]))):
+        far = np.array([1e8, -1e8, 0.0])
+        assert next_place(route, far, left_at(route, 3.0)).segment == 0
