@@ -81,7 +81,7 @@ class Driver:
         self.saved_weights, self._tell, self._tell_start = saved_weights, tell, tell_start
         self.route: Route | None = None
         self.counts = counts
-        self.robot = Robot(settings)
+        self.robot = Robot(settings, saved_weights.robot if saved_weights else ())
         self._actuation = Actuation()  # as the robot of the present segment is told
         self._faces_back = False  # that robot, other than the real one
         self._segment = 0

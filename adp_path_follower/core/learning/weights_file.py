@@ -23,6 +23,7 @@ from adp_path_follower.core.errors import FileError, SettingsError
 from adp_path_follower.core.files import parse_yaml, write_whole
 from adp_path_follower.core.learning.path_learner import MODEL_SETTINGS
 from adp_path_follower.core.learning.weights import LearnedWeights
+from adp_path_follower.core.robot.model import RobotModel
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import Value, build, flatten, setting_fields, yaml_text
 
@@ -42,6 +43,7 @@ class SavedWeights:
     settings: Mapping[str, Value]  # setting -> value, of those that state the problem
     learned: LearnedWeights  # the weights
     digest: str = ""  # hash of the file, empty before there is one
+    robot: tuple[float, ...] = ()  # parameters of the learned `RobotModel`, empty without one
 
 
 def problem_settings(settings: Settings) -> dict[str, Value]:
@@ -69,7 +71,7 @@ def encode(saved: SavedWeights) -> bytes:
         raise FileError("the weights are not finite: call ~/reset_learning and learn again")
     lines = [f"format: {_FORMAT}", f"version: {_VERSION}"]
     lines += [f"length: {yaml_text(learned.length)}", f"closed: {yaml_text(learned.closed)}"]
-    lines += [f"reach: {learned.reach}", "settings:"]
+    lines += [f"reach: {learned.reach}", f"robot: {yaml_text(saved.robot)}", "settings:"]
     lines += [f"  {name}: {yaml_text(value)}" for name, value in saved.settings.items()]
     content = io.BytesIO()
     arrays = {name: getattr(learned, name).astype(kind) for name, kind in _ARRAYS.items()}
@@ -99,10 +101,11 @@ def decode(content: bytes, name: str) -> SavedWeights:
     try:
         settings = _checked_settings(head.get("settings"))
         learned = _checked(head, parts, len(settings.learning.value_basis.labels))
+        robot = _checked_robot(head.get("robot", []))
     except (_DamageError, SettingsError) as damage:
         raise FileError(f"{name} cannot be used, {damage}: {_AGAIN}") from None
     digest = hashlib.sha256(content).hexdigest()[:16]
-    return SavedWeights(problem_settings(settings), learned, digest)
+    return SavedWeights(problem_settings(settings), learned, digest, robot)
 
 
 def read_weights(file: FilePath, settings: Settings) -> tuple[SavedWeights, bytes]:
@@ -178,6 +181,16 @@ def _checked_settings(values: Any) -> Settings:
         if name not in values:
             raise _DamageError(f"as it does not say which '{name}' its weights belong to")
     return settings
+
+
+def _checked_robot(values: Any) -> tuple[float, ...]:
+    """Return the parameters of a robot's model, none where none was learned."""
+    if values == []:
+        return ()
+    numbers = isinstance(values, list) and all(isinstance(value, float) for value in values)
+    if not numbers or len(values) != 7 or not RobotModel(*values).possible:
+        raise _DamageError("as its robot is none")
+    return tuple(values)
 
 
 def _checked(

@@ -28,6 +28,7 @@ _GAINS_START = np.array([0.03, 0.04, 0.03]) ** 2
 _LEAST_GAINS, _MOST_GAINS = np.array([0.88, 0.8, -0.15]), np.array([1.12, 1.25, 0.15])
 _FLOOR = np.array([1e-4, 1e-4, 2e-4, 2e-3, 4e-3]) ** 2  # of the noise of a message
 _NOISE = np.array([0.005, 0.005, 0.01, 0.01, 0.02]) ** 2  # at the start
+_MOST_NOISE = np.array([0.05, 0.1]) ** 2  # of v and w
 _ADAPTATION = 0.04  # share of one message in the noise
 _JUMP = 9.0  # squared distance of a wheel's velocity that the model has missed
 _GATE = 40.0  # squared distance of a pose, in standard deviations, that is an outlier
@@ -179,7 +180,7 @@ class StateEstimator:
         self._covariance = keeps @ self._covariance @ keeps.T + (gain * self.noise) @ gain.T
         # The deviation of a message, less that of the state.
         found = surprise * surprise - (expected.diagonal() - self.noise)
-        found[3:] = np.where(jumps > 0.0, self.noise[3:], found[3:])
+        found[3:] = np.where(jumps > 0.0, self.noise[3:], np.minimum(found[3:], _MOST_NOISE))
         found[:2] = 0.5 * (found[0] + found[1])
         self._found += _ADAPTATION * (found - self._found)
         self.noise = self._found = np.maximum(self._found, _FLOOR)

@@ -47,6 +47,18 @@ class RobotModel:
         """Return whether this is the ideal unicycle."""
         return self == IDEAL
 
+    @property
+    def possible(self) -> bool:
+        """Return whether a robot can be like this; false where a number is none."""
+        gains = 0.5 <= self.linear_gain <= 2.0 and 0.5 <= self.angular_gain <= 2.0
+        times = (self.delay, self.linear_lag, self.angular_lag)
+        return (
+            gains
+            and all(0.0 <= time <= 2.0 for time in times)
+            and self.ramp > 0.0
+            and (abs(self.bias) <= 1.0)
+        )
+
     def motion(self, v: float, w: float) -> tuple[float, float]:
         """Return how the robot moves [m/s, rad/s] with the wheels' velocities."""
         return self.linear_gain * v, self.angular_gain * w + self.bias * v

@@ -26,7 +26,7 @@ _TRANSIENT = 0.1  # [m/s] from the commanded velocity, ...
 _CALM = 0.3  # [s] after which it is over
 _MOVING = 0.05  # [m/s, rad/s]: slower ones tell nothing
 _KEEPS = 0.98  # share of an agreement after one more message
-_AGREE = 0.3  # share of the usual velocity, below which encoders and commands disagree
+_AGREE = -0.3  # share of the usual velocity, below which encoders and commands disagree
 _USUAL = (5, 4 * len(_RAMPS), len(_LAGS) * len(_RAMPS) + 4)  # delay and members of a usual robot
 _MEMORY = 40.0  # [s] of excited driving
 _SIGNIFICANT = 8.0  # logarithm of how much likelier than the ideal robot a model must be
@@ -151,7 +151,7 @@ class ResponseBank:
 
     @property
     def opposed(self) -> bool:
-        """Return whether the encoders do not turn as they are told, or the other way round."""
+        """Return whether the encoders tell of motion the other way round."""
         return bool((self._agreement[:, 0] < _AGREE * self._agreement[:, 1]).any())
 
     def response(self) -> Response:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import replace
 
@@ -46,15 +47,17 @@ class Robot:
 
     """
 
-    def __init__(self, settings: Settings) -> None:
-        """Begin with the model of the settings."""
+    def __init__(self, settings: Settings, learned: tuple[float, ...] = ()) -> None:
+        """Begin with the model of the settings, or with one that was learned before."""
         self.settings = settings
-        self.reset()
+        self.reset(RobotModel(*learned) if learned else None)
 
-    def reset(self) -> None:
-        """Forget what was learned."""
-        self._start = start = model_of(self.settings)
-        self.model = start
+    def reset(self, learned: RobotModel | None = None) -> None:
+        """Forget what was learned, but for a model that was learned before."""
+        self._start = model_of(self.settings)
+        self.model = start = self._start
+        if learned is not None and self.settings.robot.robot_model == "learned":
+            self.model = start = learned
         self._kind = self.settings.robot.robot_model
         self._learns = self._kind == "learned"
         self._history = CommandHistory()
@@ -99,9 +102,29 @@ class Robot:
         return ""
 
     @property
+    def learned(self) -> tuple[float, ...]:
+        """Return the parameters of the model to begin with another time, if it is learned."""
+        return dataclasses.astuple(self.model) if self._learns else ()
+
+    @property
     def explained(self) -> float:
         """Return which share of the motion that the ideal model misses the model explains."""
         return self._trial.explained
+
+    @property
+    def report(self) -> dict[str, float]:
+        """Return the model's parameters, their standard deviations, and what it explains."""
+        model, found = self.model, self._found.deviations
+        spread = (*found, *self._estimator.deviations.tolist()) if self._learns else (0.0,) * 6
+        names = ("delay [s]", "linear lag [s]", "angular lag [s]", "k_v", "k_w", "bias [rad/m]")
+        lags = (model.linear_lag, model.angular_lag)
+        values = (model.delay, *lags, model.linear_gain, model.angular_gain, model.bias)
+        return {
+            **dict(zip(names, values, strict=True)),
+            "ramp [m/s^2]": model.ramp,
+            **{f"deviation of {name}": size for name, size in zip(names, spread, strict=True)},
+            "explained": self.explained,
+        }
 
     def ahead(
         self, pose: FloatArray, time: int, motion: FloatArray | None

@@ -383,6 +383,10 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._driver.follower is not None:
             values["arc_length [m]"] = f"{float(self._driver.follower.arc_length):.3f}"
             values["cost"] = f"{float(self._driver.follower.cost):.6g}"
+        robot = self._driver.robot
+        if self._driver.settings.robot.robot_model != "ideal":
+            values.update({name: f"{value:.4g}" for name, value in robot.report.items()})
+            self._parts.telemetry.robot_model(robot.report, robot.problem)
         self._parts.telemetry.diagnostics(
             self._now(), self.status, self._shown_since, self._parts.path.problem, values
         )

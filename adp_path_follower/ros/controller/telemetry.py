@@ -5,6 +5,7 @@ import time as steady
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped, Vector3Stamped
 from rclpy.event_handler import PublisherEventCallbacks
@@ -110,12 +111,13 @@ class Telemetry:
         self._listeners_known_until = self._next_marker = 0.0
         self._lossless = lossless
         self._logger = node.get_logger()
-        self._learning_problem = ""
+        self._learning_problem = self._robot_problem = ""
         self._status = _quiet_publisher(node, DiagnosticStatus, "~/status", LATCHED)
         self._last_status: DiagnosticStatus | None = None
         self._name = node.get_fully_qualified_name()  # two robots share /diagnostics
         self._markers = _quiet_publisher(node, MarkerArray, "~/markers", LATCHED)
         self._configuration = _quiet_publisher(node, String, "~/configuration", ALL_CHANGES)
+        self._robot = _quiet_publisher(node, Float64MultiArray, "~/robot_model", LATCHED)
         self._diagnostics = _quiet_publisher(node, DiagnosticArray, "/diagnostics", 10)
         # Whether or not somebody listens: without it a run cannot be replayed.
         self._measured = [
@@ -130,7 +132,7 @@ class Telemetry:
 
     def destroy(self) -> None:
         """Destroy the publishers."""
-        others = (self._markers, self._configuration, self._diagnostics, self._status)
+        others = (self._robot, self._markers, self._configuration, self._diagnostics, self._status)
         for publisher in (*others, *self._measured, *(publisher for publisher, _ in self._steps)):
             self._node.destroy_publisher(publisher)
 
@@ -197,6 +199,11 @@ class Telemetry:
         """Publish what this run is: settings, version and path, as YAML."""
         self._configuration.publish(String(data=text))
 
+    def robot_model(self, report: dict[str, float], problem: str) -> None:
+        """Publish what is known of the robot, and keep why its model does not drive, if so."""
+        self._robot_problem = problem
+        self._robot.publish(array_message(tuple(report), np.array([*report.values()])))
+
     def learning(self, problem: str) -> bool:
         """Say when the Riccati policy takes over from the learned one and back; return if it did.
 
@@ -238,13 +245,19 @@ class Telemetry:
         level = max(
             _LEVELS[status.state],
             DiagnosticStatus.ERROR if path_problem else DiagnosticStatus.OK,
-            DiagnosticStatus.WARN if learning_problem else DiagnosticStatus.OK,
+            DiagnosticStatus.WARN
+            if learning_problem or self._robot_problem
+            else DiagnosticStatus.OK,
         )
         message = status.state.value + (f": {status.cause}" if status.cause else "")
         if path_problem:
             message += f"; path rejected: {path_problem}"
         if learning_problem:
             message += f"; Riccati policy instead of the learned one: {learning_problem}"
+        if self._robot_problem:
+            message += (
+                f"; the ideal robot's model instead of the learned one: {self._robot_problem}"
+            )
         details = {
             "state": status.state.value,
             "cause": status.cause,

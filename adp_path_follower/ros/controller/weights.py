@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -86,7 +87,7 @@ class WeightsFiles:
         driver = self._driver()
         if driver.follower is None:
             raise AdpError("nothing was learned yet: save the weights after some driving")
-        saved = driver.follower.saved_weights()
+        saved = replace(driver.follower.saved_weights(), robot=driver.robot.learned)
         name = driver.settings.controller.save_weights_to
         if not name:
             raise AdpError("'save_weights_to' is empty: set it to the file to write")

@@ -11,6 +11,8 @@ from plants import AnalyticPlant
 from robots import TYPICAL, Robot
 
 from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.learning.weights_file import decode, encode
 from adp_path_follower.core.path.library import circle
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
@@ -134,3 +136,28 @@ def test_encoders_with_the_wrong_sign_do_no_more_harm_than_before():
         found[model] = drive(plant, ours(tuning, PATH), PATH, tuning, 16.0)
     assert math.isfinite(found["learned"].cost)
     assert found["learned"].rms < max(0.02, 1.3 * found["ideal"].rms)
+
+
+def test_the_robot_is_saved_with_the_weights():
+    models = Models()
+    run(TYPICAL, 4.0, seen=models)
+    driver = models.driver
+    saved = dataclasses.replace(driver.follower.saved_weights(), robot=driver.robot.learned)
+    read = decode(encode(saved), "file")
+    assert read.robot == dataclasses.astuple(driver.robot.model)
+    assert Driver(settings(), read).robot.model == driver.robot.model
+    assert Driver(settings("ideal"), read).robot.model.ideal
+    wrong = dataclasses.replace(saved, robot=(*saved.robot[:3], math.nan, *saved.robot[4:]))
+    with pytest.raises(FileError, match="robot"):
+        decode(encode(wrong), "file")
+
+
+def test_parameters_stay_within_their_bounds_on_an_impossible_robot():
+    robot = dataclasses.replace(TYPICAL, radius_error=0.4, wheel_difference=0.6)
+    models = Models()
+    outcome = run(robot, 6.0, seen=models)
+    assert np.isfinite(outcome.trace).all()
+    for model in models.found:
+        assert 0.88 <= model.linear_gain <= 1.12
+        assert 0.8 <= model.angular_gain <= 1.25
+        assert abs(model.bias) <= 0.15
