@@ -113,7 +113,12 @@ class Robot:
 
     @property
     def report(self) -> dict[str, float]:
-        """Return the model's parameters, their standard deviations, and what it explains."""
+        """Return the model's parameters, their standard deviations, and what it explains.
+
+        Nothing where the robot is taken for ideal.
+        """
+        if self._kind == "ideal":
+            return {}
         model, found = self.model, self._found.deviations
         spread = (*found, *self._estimator.deviations.tolist()) if self._learns else (0.0,) * 6
         names = ("delay [s]", "linear lag [s]", "angular lag [s]", "k_v", "k_w", "bias [rad/m]")

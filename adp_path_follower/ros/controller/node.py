@@ -289,10 +289,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _tell(
         self, time: int, pose: FloatArray, motion: FloatArray, output: FollowerOutput
     ) -> None:
-        """Publish what a step at a time [ns], a pose and a motion, (3,) each, found.
-
-        See if it was the last.
-        """
+        """Publish what a step at a time [ns], pose and motion (3,) found; see if it was the last."""
         parts, follower, route = self._configured, self._driver.follower, self._driver.route
         assert follower is not None  # the step has made it
         if parts.telemetry.learning(follower.learning_problem):
@@ -383,10 +380,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._driver.follower is not None:
             values["arc_length [m]"] = f"{float(self._driver.follower.arc_length):.3f}"
             values["cost"] = f"{float(self._driver.follower.cost):.6g}"
-        robot = self._driver.robot
-        if self._driver.settings.robot.robot_model != "ideal":
-            values.update({name: f"{value:.4g}" for name, value in robot.report.items()})
-            self._parts.telemetry.robot_model(robot.report, robot.problem)
+        values.update(self._parts.telemetry.robot_model(self._driver.robot))
         self._parts.telemetry.diagnostics(
             self._now(), self.status, self._shown_since, self._parts.path.problem, values
         )

@@ -18,6 +18,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.route import Route
+from adp_path_follower.core.robot.robot import Robot
 from adp_path_follower.core.safety.supervisor import State, Status
 from adp_path_follower.core.settings.groups import ControllerSettings
 from adp_path_follower.ros.runtime.conversions import (
@@ -199,10 +200,12 @@ class Telemetry:
         """Publish what this run is: settings, version and path, as YAML."""
         self._configuration.publish(String(data=text))
 
-    def robot_model(self, report: dict[str, float], problem: str) -> None:
-        """Publish what is known of the robot, and keep why its model does not drive, if so."""
-        self._robot_problem = problem
-        self._robot.publish(array_message(tuple(report), np.array([*report.values()])))
+    def robot_model(self, robot: Robot) -> dict[str, str]:
+        """Publish what is known of a robot, unless it is taken for ideal; return it as text."""
+        self._robot_problem, report = robot.problem, robot.report
+        if report:
+            self._robot.publish(array_message(tuple(report), np.array([*report.values()])))
+        return {name: f"{value:.4g}" for name, value in report.items()}
 
     def learning(self, problem: str) -> bool:
         """Say when the Riccati policy takes over from the learned one and back; return if it did.
