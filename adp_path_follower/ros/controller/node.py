@@ -289,7 +289,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _tell(
         self, time: int, pose: FloatArray, motion: FloatArray, output: FollowerOutput
     ) -> None:
-        """Publish what a step at a time [ns], pose and motion (3,) found; see if it was the last."""
+        """Tell what a step at a time [ns], pose and motion (3,) found; see if it is the last."""
         parts, follower, route = self._configured, self._driver.follower, self._driver.route
         assert follower is not None  # the step has made it
         if parts.telemetry.learning(follower.learning_problem):
