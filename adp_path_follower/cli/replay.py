@@ -234,11 +234,13 @@ def _report(run: Run, found: Replay, weights: ComparedWeights | None) -> str:
     return "\n".join(lines)
 
 
+_FIRST_STEPS = 20  # of which a recorder that began in time has at least one
+
+
 def _cause(run: Run, found: Replay) -> str:
     """Return why commands with the recorded parameters may differ."""
     spent = run.series.get("cost")
-    period = float(np.diff(found.stamp[:2])[0]) * 1e-9 if len(found.stamp) > 1 else 0.0
-    if spent is not None and float(spent.values[0, 0]) > found.cost[0] + 1e-9 + period * 1e-6:
+    if spent is not None and float(spent.values[0, 0]) > found.cost[:_FIRST_STEPS].max():
         return (
             "the bag begins after the run: the controller had driven before its first recorded "
             f"step (cost to date {float(spent.values[0, 0]):.4g}), and what it had learned is not "

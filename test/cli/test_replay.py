@@ -12,6 +12,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from geometry_msgs.msg import Twist, TwistStamped
+from rosbags.rosbag2 import Reader
 from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
@@ -70,6 +71,26 @@ def test_the_same_parameters_give_the_same_commands_and_weights(bag, tmp_path):
         f"{2 * STEPS} of {2 * STEPS} sets of weights are, too",
     ]
     assert not list(tmp_path.iterdir())
+
+
+def test_a_bag_that_begins_after_the_run_is_not_blamed_on_its_version(bag, tmp_path):
+    """Path and configuration are latched: a late recorder has them, but not the learning before."""
+    writer = BagWriter(tmp_path / "late")
+    with Reader(bag) as reader:
+        late = reader.start_time + (reader.end_time - reader.start_time) // 2
+        topics: dict[str, int] = {}
+        for connection, time, raw_message in reader.messages():
+            name = connection.topic
+            if time < late and name not in ("/path", "/path_follower/configuration"):
+                continue
+            if name not in topics:
+                topics[name] = writer.add_topic(name, connection.msgtype)
+            writer.write(topics[name], raw_message, max(time, late), time)
+    writer.close()
+    done = adp("replay", "late", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "the bag begins after the run: the controller had driven before" in done.stdout
+    assert "another version" not in done.stdout
 
 
 @pytest.mark.smoke
