@@ -22,6 +22,7 @@ from bag_messages import (
     text,
     transform,
     twist,
+    twist_stamped,
     write_bag,
 )
 from commands import adp
@@ -189,6 +190,16 @@ def test_commands_of_another_clock(tmp_path):
     found = analysed(tmp_path, [*(item for item in odom if item[0] != "/cmd_vel"), *wall])
     assert_driven(found)
     assert "/cmd_vel: stamped by another clock than the odometry: arrival is used" in found.notes
+
+
+def test_simulated_time_may_begin_at_zero(tmp_path):
+    """A controller commands zero at once, long before there is a path."""
+    poses = along(CORNERS)
+    messages = drive_along(poses, CORNERS, stamps=8 * SECOND + np.arange(len(poses)) * SECOND // 50)
+    first = [("/cmd_vel", 992 * SECOND, twist_stamped(0, 0.0, 0.0))]
+    found = analysed(tmp_path, [*first, *messages])
+    assert_driven(found)
+    assert not [note for note in found.notes if "sound stamp" in note]
 
 
 def test_messages_out_of_order_are_sorted_and_counted(tmp_path):
