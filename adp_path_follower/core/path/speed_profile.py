@@ -115,6 +115,8 @@ class SpeedProfile:
 
     def model_speed(self, arc_length: FloatArray) -> Number:
         """Return v_des, but nowhere less than `slowest`."""
+        if not self.varies:
+            return self._desired
         speed: Number = np.maximum(self.speed(arc_length), self.slowest)
         return speed
 
