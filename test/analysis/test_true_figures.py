@@ -1,4 +1,4 @@
-"""What `adp analyze` says of a simulated robot, against what the simulation knows."""
+"""Figures of `adp analyze` for a simulated robot, against the simulation's own."""
 
 from __future__ import annotations
 
