@@ -21,6 +21,7 @@ from adp_path_follower.core.settings.groups import Settings
 _SETTLING = 0.3  # [s] over which the model that drives follows the one that was found
 _REVIEW = 0.1  # [s] between two looks at the bank
 _LONGEST_GAP = 1.0  # [s] between two steps of a robot that was controlled all the time
+_SHORTEST_PERIOD = 1e-6  # [s]
 _LONGEST_PERIOD = 0.1  # [s]: after a pause a command does not make up for it
 _CLIPPED = 0.02  # [m/s, rad/s] by which a limit changes a command
 
@@ -153,7 +154,9 @@ class Robot:
             self.restart()
             self._origin, self._shown, now = time, time, 0.0
         elapsed, self._now = now - self._now, now
-        self._period = min(elapsed, _LONGEST_PERIOD)
+        self._period = 1.0 / self.settings.controller.controller_frequency
+        if elapsed > _SHORTEST_PERIOD and self._history.last != (0.0, 0.0):
+            self._period = min(elapsed, _LONGEST_PERIOD)
         self._take(pose.tolist(), *motion.tolist())
         self._settle(elapsed)
         if self.problem:
@@ -208,7 +211,7 @@ class Robot:
         found = compensated(self.model, (self._acting.v, self._acting.w), wanted, self._ahead)
         limits = settings.limits
         command = np.minimum(np.maximum(found, limits.lower), limits.upper)
-        if settings.motion.limited and self._period > 0.0:
+        if settings.motion.limited:
             last = np.array(self._history.last)
             command = limited_command(
                 command, last, self._rate, limits, settings.motion, self._period

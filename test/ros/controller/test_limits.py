@@ -28,9 +28,12 @@ def speeds(commands):
     return np.array(stamps), np.array([message.twist.linear.x for message in commands])
 
 
-def test_a_run_with_limits_stops_and_other_paths_keeps_them_and_replays(peer, start, tmp_path):
+@pytest.mark.parametrize("model", ["ideal", "learned"])
+def test_a_run_with_limits_stops_and_other_paths_keeps_them_and_replays(
+    peer, start, tmp_path, model
+):
     commands = peer.listen(TwistStamped, "cmd_vel")
-    controller = start("controller", **LIMITS, actuation_delay=0.05)
+    controller = start("controller", **LIMITS, actuation_delay=0.05, robot_model=model)
     recorder = start("recorder", output=str(tmp_path / "bag"))
     start("sim_unicycle", x=-0.3, y=0.2, command_delay=0.05)
     publisher = start("path_publisher", path="line")
@@ -41,6 +44,7 @@ def test_a_run_with_limits_stops_and_other_paths_keeps_them_and_replays(peer, st
         peer.until(lambda: len(commands) > count + 100, "a hundred commands")
 
     heard = ("cmd_vel", "path", "path_follower/configuration", "path_follower/measured_pose")
+    heard = (*heard, "path_follower/measured_motion")
     peer.until(
         lambda: all(f"recording /{topic}\n" in recorder.output() for topic in heard),
         "the recorder",
