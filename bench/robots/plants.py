@@ -1,4 +1,4 @@
-"""Plants that move a `Robot`: an analytic one, and one of contacts and torques on MuJoCo."""
+"""A plant that moves a `Robot` by formulas: ramp of each wheel, lag, geometry and friction."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Plant(Protocol):
 
 
 class Firmware:
-    """Delay and ramp of the commanded wheel speeds, shared by both plants."""
+    """Delay and ramp of the commanded wheel speeds."""
 
     def __init__(self, robot: Robot) -> None:
         """Start at rest."""

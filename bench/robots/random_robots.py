@@ -1,6 +1,6 @@
 """Compare the default controller, the one that learns its robot, and tuned peers on random robots.
 
-    python bench/robots/random_robots.py [--robots 200] [--first 0] [--plant mujoco]
+    python bench/robots/random_robots.py [--robots 200] [--first 0]
         [--contenders default,learned,known,peers] [--cache FILE]
 
 J is taken along the true motion; distances are those of the true pose after 8 s. "Best" means at
@@ -12,14 +12,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path as FilePath
 
 import numpy as np
 from drives import Outcome, drive, ours, peer, start_pose
 from paths import PATHS
-from plants import AnalyticPlant, Plant
-from robots import Robot, random_robot
+from plants import AnalyticPlant
+from robots import random_robot
 
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
@@ -50,7 +50,7 @@ _LONGEST = 28.0  # [s]
 class Case:
     """A robot, a path, a speed and a start, drawn by a seed."""
 
-    def __init__(self, seed: int, plant: Callable[[Robot, np.ndarray], Plant]) -> None:
+    def __init__(self, seed: int) -> None:
         """Draw them."""
         rng = np.random.default_rng([seed, 3])
         self.robot = random_robot(seed)
@@ -58,7 +58,6 @@ class Case:
         self.path: Path = PATHS[self.path_name]()
         self.speed = float(rng.choice(_SPEEDS))
         self._start = rng.uniform([0.0, -0.3, -0.4], [0.0, 0.3, 0.4])
-        self._plant = plant
 
     def settings(self, **values: object) -> Settings:
         """Return the settings of the drive, with some changed."""
@@ -67,7 +66,7 @@ class Case:
 
     def outcome(self, name: str) -> Outcome:
         """Return the outcome of a contender."""
-        plant = self._plant(self.robot, start_pose(self.path, tuple(self._start)))
+        plant = AnalyticPlant(self.robot, start_pose(self.path, tuple(self._start)))
         settings = self.settings(**self._values(name))
         control = (
             peer(PEERS[name], settings, self.path) if name in PEERS else ours(settings, self.path)
@@ -93,6 +92,8 @@ class Case:
 def table(found: Mapping[str, Mapping[str, list[float]]]) -> str:
     """Return shares of the robots on which each of ours is best, and its distances."""
     seeds = [seed for seed, row in found.items() if any(name in PEERS for name in row)]
+    if not seeds:
+        return "no peer was driven to compare with"
     lines = [
         "| contender | best in J | best in RMS | best in both | worst J | worst RMS | "
         "median RMS [mm] | p90 | worst | variation |",
@@ -131,15 +132,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--plant", choices=("analytic", "mujoco"), default="analytic")
     parser.add_argument("--contenders", default="default,learned,known,peers")
     parser.add_argument("--cache", type=FilePath, default=None)
     options = parser.parse_args()
-    plant: Callable[[Robot, np.ndarray], Plant] = AnalyticPlant
-    if options.plant == "mujoco":
-        from mujoco_plant import MujocoPlant
-
-        plant = MujocoPlant
     names: list[str] = []
     for name in options.contenders.split(","):
         names += PEERS if name == "peers" else [name]
@@ -148,7 +143,7 @@ def main() -> None:
         found = json.loads(options.cache.read_text())
     for seed in range(options.first, options.first + options.robots):
         row = found.setdefault(str(seed), {})
-        case = Case(seed, plant)
+        case = Case(seed)
         for name in names:
             if name not in row:
                 outcome = case.outcome(name)
