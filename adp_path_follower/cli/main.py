@@ -2,6 +2,7 @@
 
 import difflib
 import importlib
+import logging
 import os
 import sys
 from pathlib import Path as FilePath
@@ -120,6 +121,8 @@ def docs(page: str | None) -> None:
 def main() -> None:
     """Run the command; a bad input is one sentence and exit code 2."""
     use_one_blas_thread()
+    log = logging.getLogger("adp_path_follower")  # says what takes long, beside the output
+    log.handlers, log.level = [logging.StreamHandler()], logging.INFO
     try:
         code = adp.main(standalone_mode=False)
     except click.ClickException as error:

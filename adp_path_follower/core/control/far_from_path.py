@@ -6,8 +6,9 @@ from typing import Protocol
 import numpy as np
 
 from adp_path_follower.core.control.fallback import RiccatiPolicy
-from adp_path_follower.core.control.policy import saturate
+from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
+from adp_path_follower.core.control.value_store import value_grid
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
 from adp_path_follower.core.settings.groups import Settings
@@ -58,12 +59,54 @@ def register_far_policy(name: str, factory: Callable[[Settings], FarPolicy]) -> 
     OWN_FAR_POLICIES.register(name, factory)
 
 
+_GRID_LEVELS = 0.7  # of `wide_region_levels`: the grid is exact where the learned policy is not yet
+
+
+def far_policy_of(settings: Settings) -> str:
+    """Return the name of the policy that drives far from the path."""
+    limits, chosen = settings.limits, settings.policy.wide_region
+    limited = (limits.min_linear_vel, limits.max_linear_vel, limits.max_angular_vel)
+    if chosen == "value_grid" and not np.isfinite(limited).all():
+        return "approach"
+    return chosen
+
+
+def far_levels(settings: Settings) -> tuple[float, float]:
+    """Return the errors, in half-widths of the samples, between which the policy changes."""
+    start, end = settings.policy.wide_region_levels
+    scale = _GRID_LEVELS if far_policy_of(settings) == "value_grid" else 1.0
+    return scale * start, scale * end
+
+
+class GridPolicy:
+    """The policy of the value function on a grid, which is found when the first robot needs it."""
+
+    def __init__(self, settings: Settings) -> None:
+        """Take all settings."""
+        self._settings = settings
+        inverse = np.linalg.inv(settings.cost.input_cost_matrix())
+        self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
+
+    def modified_input(
+        self, zeta: FloatArray, curvature: FloatArray, feedforward: FloatArray
+    ) -> FloatArray:
+        """Return u = -1/2 R^-1 g^T V_e within the limits, shape (..., 2)."""
+        error = zeta[..., :3]
+        _, slope = value_grid(self._settings).value_and_slope(error, np.asarray(curvature))
+        theta = error[..., 2]
+        ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
+        descent = np.stack([ahead, slope[..., 2]], axis=-1)
+        wanted = descending_input(descent, self._input_cost_inverse)
+        return saturate(wanted, feedforward, self._settings.limits)
+
+
 class WideRegion:
     """A policy that takes over from the learned one outside the region of the samples."""
 
     def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
         """Take levels, limits and kind from the settings."""
-        self._policy = settings.policy
+        self._policy, self._kind = settings.policy, far_policy_of(settings)
+        self._levels = far_levels(settings)
         self._half_widths = np.array(settings.learning.sample_half_widths[:3])
         self._widths: list[float] = self._half_widths.tolist()
         self._limits = settings.limits
@@ -72,7 +115,13 @@ class WideRegion:
         self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
         self._is_own = settings.policy.wide_region not in WIDE_REGIONS
         make = OWN_FAR_POLICIES.find(settings.policy.wide_region) if self._is_own else None
-        self._far: FarPolicy = RiccatiPolicy(settings, riccati) if make is None else make(settings)
+        self._far: FarPolicy
+        if make is not None:
+            self._far = make(settings)
+        elif self._kind == "value_grid":
+            self._far = GridPolicy(settings)
+        else:
+            self._far = RiccatiPolicy(settings, riccati)
 
     def blend(
         self,
@@ -85,15 +134,15 @@ class WideRegion:
 
         The learned input is within the limits, (..., 2); the rest is as in `modified_input`.
         """
-        start, end = self._policy.wide_region_levels
-        if zeta.ndim == 1 and self._inside(zeta, start):
+        start, end = self._levels
+        if zeta.ndim == 1 and not self.is_far(zeta):
             return learned
         level = np.abs(zeta[..., :3] / self._half_widths).max(axis=-1)
         if not (level > start).any():
             return learned
         share = np.clip((level - start) / (end - start), 0.0, 1.0)
         share = (share * share * (3.0 - 2.0 * share))[..., None]
-        if self._policy.wide_region == "approach":
+        if self._kind == "approach":
             wanted = self._approach(zeta, self._riccati.matrix(curvature, feedforward[..., 0]))
             far = saturate(wanted, feedforward, self._limits)
         else:
@@ -101,11 +150,12 @@ class WideRegion:
             far = saturate(np.asarray(far), feedforward, self._limits) if self._is_own else far
         return np.asarray((1.0 - share) * learned + share * far)
 
-    def _inside(self, zeta: FloatArray, level: float) -> bool:
-        """Return whether a state (4,) is within a multiple of the samples' half-widths."""
-        return all(
-            abs(error) <= level * width
-            for error, width in zip(zeta.tolist(), self._widths, strict=False)  # not phi
+    def is_far(self, error: FloatArray) -> bool:
+        """Return whether a robot's error [s, y, theta, ...] is where another policy begins."""
+        start = self._levels[0]
+        return any(
+            abs(value) > start * width
+            for value, width in zip(error.tolist(), self._widths, strict=False)
         )
 
     def _approach(self, zeta: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedReference
 from adp_path_follower.core.settings.groups import TargetSettings
 
-_MOST_LEAD = 20.0  # [m] of the robot ahead of the target, or behind it, that sets its speed
+MOST_LEAD = 20.0  # [m] of the robot ahead of the target, or behind it, that sets its speed
 
 
 class VirtualTarget:
@@ -37,7 +37,7 @@ class VirtualTarget:
         self._reference = reference or ConstantSpeed(target)
         self.v_des = self._reference.speed(self.arc_length)
         self._path, self._target = path, target
-        self._most_speed = target.desired_speed + target.target_gain * _MOST_LEAD
+        self._most_speed = target.desired_speed + target.target_gain * MOST_LEAD
         self._previous_error: FloatArray | None = None
 
     def hold(self) -> None:

@@ -53,6 +53,7 @@ class Driver:
         settings: All settings.
         route: The route to follow, None without one.
         counts: Resets, restarts and stops so far.
+        output: The follower's last output on the present segment, None before the first.
         saved_weights: Weights of another run to start from, None without.
         robot: The robot between this and the world.
 
@@ -89,7 +90,7 @@ class Driver:
         self._pose: FloatArray = np.zeros(3)  # of the robot at the last step
         self._left: Left | None = None  # where following ended, until it goes on
         self._learned: PathFollower | None = None  # the follower of the path before
-        self._output: FollowerOutput | None = None  # of the last step on the segment
+        self.output: FollowerOutput | None = None  # of the last step on the segment
         self._standstill: Standstill | None = None  # between segments
         self._turn: float | None = None  # [rad]: the heading of a turn on the spot
         self._faces_goal = False  # after the turn at the end of the route
@@ -296,18 +297,18 @@ class Driver:
                 return turning
         assert self._follower is not None  # one has just begun, if there was none
         facing_ahead = self._present.heading_of_path(ahead)
-        self._output = self._follower.step_at(facing_ahead, then, learn=False)
+        self.output = self._follower.step_at(facing_ahead, then, learn=False)
         self._to_learn = True
-        output = self._own(self._output)
+        output = self._own(self.output)
         command = self.robot.command(output.command)
         return output if command is output.command else dataclasses.replace(output, command=command)
 
     def _turning(self, heading: float, pose: FloatArray, time: int) -> FollowerOutput | None:
         """Return the output of a turn on the spot to a heading, None when driving begins."""
         assert self._follower is not None  # one has begun
-        if self._output is None:  # before the first step on the segment
+        if self.output is None:  # before the first step on the segment
             facing = self._present.heading_of_path(pose)
-            self._output = self._follower.step_at(facing, time, learn=False)
+            self.output = self._follower.step_at(facing, time, learn=False)
             self._follower.hold()
         command = turning_command(heading, pose, time, self._actuation, self.settings)
         if command is not None:
@@ -343,7 +344,7 @@ class Driver:
 
     def _standing(self, pose: FloatArray, command: FloatArray) -> FollowerOutput:
         """Return a command [0, w] and its error at a pose (3,), without heading while it turns."""
-        last = self._output
+        last = self.output
         assert last is not None  # there was a step on the segment
         self.robot.note(command)
         error = tracking_error(self._present.heading_of_path(pose), last.target_pose)
@@ -393,6 +394,6 @@ class Driver:
                 )
         if self._learned is not None:
             follower.take_over(self._learned)
-        self._follower, self._learned, self._output = follower, None, None
+        self._follower, self._learned, self.output = follower, None, None
         if segment.turn_first and arc_length <= NOISE:
             self._turn = float(segment.heading_of_path(segment.path.frame(0.0).pose)[2])

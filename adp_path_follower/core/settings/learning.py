@@ -18,7 +18,7 @@ _QUADRATIC_WEIGHTS = (0.905, 0.0, 0.0, 2.8284, 2.0, 1.4142)
 _MOST_PREVIEW = 1000  # knots
 
 SCHEDULINGS = ("path_state", "arc_length")
-WIDE_REGIONS = ("none", "riccati", "approach")
+WIDE_REGIONS = ("none", "riccati", "approach", "value_grid")
 # Registered by `register_far_policy`; makes a policy of the settings.
 OWN_FAR_POLICIES: Registry[Callable[[Any], Any]] = Registry("far policy", WIDE_REGIONS)
 
@@ -226,17 +226,18 @@ class PolicySettings:
         choices=("riccati", "none"),
     )
     wide_region: str = setting(
-        "approach",
-        "Policy far from the path, where nothing is learned: drive towards the path at "
-        "approach_angle (it needs no reverse), the Riccati policy in the half-angle frame, or none "
-        "(the learned policy everywhere).",
+        "value_grid",
+        "Policy far from the path, where nothing is learned: that of a value function on a grid, "
+        "found once for these settings and kept in ~/.cache (approach drives until it is there, or "
+        "where a velocity has no limit); towards the path at approach_angle (it needs no reverse); "
+        "the Riccati policy in the half-angle frame; or none (the learned policy everywhere).",
         choices=WIDE_REGIONS,
         registry=OWN_FAR_POLICIES,
     )
     wide_region_levels: tuple[float, ...] = setting(
         (1.0, 1.25),
         "Errors, as multiples of sample_half_widths, at which the policy starts and ends to change "
-        "from the learned one to that of wide_region.",
+        "from the learned one to that of wide_region; to value_grid at 0.7 of them.",
         lengths=(2,),
         low=POSITIVE,
         high=1e6,

@@ -20,6 +20,7 @@ from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, 
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import Commands
+from adp_path_follower.ros.controller.far_value import FarValue
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.parts import ControllerParts, start_teller
 from adp_path_follower.ros.controller.path_input import PathInput
@@ -50,7 +51,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self.settings = declare_settings(self, Settings)
         LiveSettings(self, self.settings, self._prepare_settings)
         self._weights = WeightsFiles(self, self.settings, lambda: self._driver)
-        self._fit = fit
+        self._fit, self._far_value = fit, FarValue(self.get_logger())
         self._parts: ControllerParts | None = None
         self._supervisor = Supervisor(self.settings.controller.odom_timeout)
         self._forget_run()
@@ -61,7 +62,8 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _forget_run(self) -> None:
         """Return to the state before any message."""
         told, log = start_teller(self.get_logger()), self.get_logger()
-        self._driver = Driver(self.settings, self._weights.saved, log.warning, tell_start=told)
+        settings = self._far_value.drivable(self.settings)
+        self._driver = Driver(settings, self._weights.saved, log.warning, tell_start=told)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
         self._clock_time = 0
@@ -127,6 +129,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Stop the robot and forget path, odometry and what was learned."""
         self.last_words()
         self._configured.destroy()
+        self._far_value.destroy()
         self._parts = None
         self._forget_run()
         return super().on_cleanup(state)
@@ -197,7 +200,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             SettingsError: No policy can be found for them.
 
         """
-        change = self._driver.prepared(settings)
+        change = self._driver.prepared(self._far_value.drivable(settings))
 
         def take_over() -> None:
             self._driver.take_over(change)
@@ -241,6 +244,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Command for a time [ns], then learn: what is learned is for the next command."""
         self._command(time)
         self._driver.learn()
+        if self._far_value.has_come(self._driver, self.settings):
+            self._prepare_settings(self.settings)()
 
     def _command(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
@@ -291,14 +296,13 @@ class PathFollowerNode(Ending, LifecycleNode):
     ) -> None:
         """Tell what a step at a time [ns], pose and motion (3,) found; see if it is the last."""
         parts, follower, route = self._configured, self._driver.follower, self._driver.route
-        assert follower is not None  # the step has made it
+        assert follower is not None and route is not None  # noqa: PT018  # the step has made it
         if parts.telemetry.learning(follower.learning_problem):
             self._publish_diagnostics()
         assert parts.path.followed is not None  # nor a step without a path
         frame = parts.path.followed.followed_frame
         parts.telemetry.step(time, frame, (pose, motion), output, float(follower.cost))
-        if route is not None:
-            parts.telemetry.markers(time, frame, route, output)
+        parts.telemetry.markers(time, frame, route, output)
         if self._driver.at_goal:
             self._supervisor.goal_reached()
         elif follower.goal.problem:
@@ -313,8 +317,6 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
-
-    # Supervision
 
     def _watch(self) -> float:
         """Look after the robot, whatever the control timer does; return when to do so again [s]."""

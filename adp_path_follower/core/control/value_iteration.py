@@ -1,0 +1,238 @@
+"""Value iteration: the values of `value_grid`, from settings alone.
+
+For each layer of curvature, with the motion of equation (1) and the running cost r,
+
+    V(e) <- min_u  integral of r over h + V(e(h)),   u constant over the step h,
+
+where the spline gives V between nodes (semi-Lagrangian). The minimum is looked for at
+u = -1/2 R^-1 g^T V_e within the limits, where the last sweep found it, and in the first sweeps
+among inputs from limit to limit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adp_path_follower.core.control.riccati import riccati_solutions
+from adp_path_follower.core.control.value_grid import GridAxes, ValueGrid, half_angle_form
+from adp_path_follower.core.control.virtual_target import MOST_LEAD
+from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.settings.groups import (
+    CostSettings,
+    LimitSettings,
+    TargetSettings,
+)
+
+_CURVATURES = np.array([0.0, 0.25, 0.6, 1.2])  # [1/m] of the layers
+_REACH = 40.0  # [m]
+_COARSE, _FINE = (25, 25, 20), (41, 41, 28)
+_STEP = 0.15  # [s] of a sweep, or less at speeds at which a step would cross ...
+_STRIDE = 0.25  # [m]
+_FAR = 4.0  # [m] from which on steps grow with the distance, as the spacing of the nodes does
+_TURN = 0.3  # [rad] of the target's frame in a step
+_NEAR = 0.3  # [m], [rad] about the path, where the Riccati solution is the value
+_POLICY_EVERY = 5  # sweeps from one policy to the next
+_COARSE_SWEEPS = 60
+_SEARCHED = 30  # sweeps of the first grid that try inputs from limit to limit, too
+_COUNTED = 15.0  # [m], within which the values must have settled
+_SETTLED = 5e-5  # mean change of rho in a sweep
+_MOST_SWEEPS = 400
+_UNLIMITED = 3.0  # speeds to try where there is no limit, as multiples of v_des and in rad/s
+
+
+METHOD = (2, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
+
+
+@dataclass(frozen=True)
+class ValueProblem:
+    """Target, cost and limits: the settings that the value function depends on."""
+
+    target: TargetSettings
+    cost: CostSettings
+    limits: LimitSettings
+
+
+def solve(
+    problem: ValueProblem, progress: Callable[[float], None] = lambda done: None
+) -> ValueGrid:
+    """Return the value function of a problem; `progress` is called with the fraction done."""
+    coarse, fine = GridAxes(_COARSE, _REACH), GridAxes(_FINE, _REACH)
+    speed = min(problem.target.desired_speed, float(problem.limits.upper[0]))
+    count = len(_CURVATURES)
+    riccati = riccati_solutions(_CURVATURES, np.full(count, speed), problem.target, problem.cost)
+    start = _Layer(problem, coarse, 0.0, riccati[0])
+    coefficients = start.iterate(start.filtered(np.full(_COARSE, 1.2)), _COARSE_SWEEPS, _SEARCHED)
+    axes, layers = coarse, []
+    for number, curvature in enumerate(_CURVATURES):
+        layer = _Layer(problem, fine, float(curvature), riccati[number])
+        guess = _interpolated(coefficients, axes.position(fine.nodes)[0])
+        coefficients = layer.iterate(layer.filtered(guess), _MOST_SWEEPS)
+        if curvature == 0.0:  # left and right are alike; neither is to be preferred
+            ratio = _at_nodes(coefficients)
+            mirrored = ratio[:, ::-1, -np.arange(_FINE[2])]
+            coefficients = layer.filtered(np.minimum(ratio, mirrored))
+        axes = fine
+        layers.append(coefficients)
+        progress((number + 1) / count)
+    return ValueGrid(fine, _CURVATURES, riccati, np.stack(layers))
+
+
+class _Layer:
+    """The problem at one curvature."""
+
+    def __init__(
+        self, problem: ValueProblem, axes: GridAxes, curvature: float, riccati: FloatArray
+    ) -> None:
+        self._axes, self._curvature, self._riccati = axes, curvature, riccati
+        target, limits = problem.target, problem.limits
+        self._speed = min(target.desired_speed, float(limits.upper[0]))
+        self._gain = target.target_gain
+        self._fastest = target.desired_speed + self._gain * MOST_LEAD
+        self._state_cost = problem.cost.state_cost_matrix()
+        self._input_cost = problem.cost.input_cost_matrix()
+        forward = np.array([self._speed, curvature * self._speed])
+        self._low, self._high = limits.lower - forward, limits.upper - forward
+        self._nodes = np.moveaxis(axes.nodes, 0, -1)
+        distance = np.hypot(self._nodes[..., 0], self._nodes[..., 1])
+        self._step = self._steps(distance, max(limits.upper[0], -limits.lower[0]))
+        base, self._base_slope = half_angle_form(self._nodes, riccati)
+        self._base = np.maximum(base, 1e-9)
+        self._counted = distance < _COUNTED
+        self._near = (np.abs(self._nodes) < _NEAR).all(-1)
+
+    def _steps(self, distance: FloatArray, fastest: float) -> FloatArray:
+        """Return the time of a step [s] at the nodes: longer where these are further apart."""
+        growth = np.maximum(1.0, distance / _FAR)
+        driven = self._speed + np.minimum(fastest, self._speed + distance)
+        turned = abs(self._curvature) * (self._speed + self._gain * np.abs(self._nodes[..., 0]))
+        wide = np.maximum(_STEP, _TURN / np.maximum(turned, 1e-9))
+        steps = np.minimum(np.minimum(_STEP * growth, wide), _STRIDE * growth / driven)
+        return np.asarray(steps)
+
+    def filtered(self, ratio: FloatArray) -> FloatArray:
+        """Return the padded spline coefficients of rho at the nodes."""
+        from scipy.ndimage import spline_filter1d
+
+        found = spline_filter1d(ratio, 3, 0, mode="mirror")
+        found = spline_filter1d(found, 3, 1, mode="mirror")
+        found = spline_filter1d(found, 3, 2, mode="grid-wrap")
+        found = np.pad(found, ((1, 1), (1, 1), (0, 0)), mode="reflect")
+        return np.concatenate([found[..., -1:], found, found[..., :2]], axis=-1)
+
+    def iterate(self, coefficients: FloatArray, sweeps: int, searched: int = 0) -> FloatArray:
+        """Return the coefficients when sweeps change rho no more."""
+        ratio, kept = _at_nodes(coefficients), list[FloatArray]()
+        for sweep in range(sweeps):
+            if sweep % _POLICY_EVERY == 0:
+                tried = self._trials() if sweep < searched else []
+                kept = [self._descending(ratio, coefficients), *kept[-1:], *tried]
+                kept = [self._best(kept, coefficients)]
+                after, cost = self._moved(kept[-1])
+                place, base = self._axes.position(np.moveaxis(after, -1, 0))[0], self._form(after)
+            values = cost + base * _interpolated(coefficients, place) ** 2
+            found = np.where(self._near, 1.0, np.sqrt(np.maximum(values, 0.0) / self._base))
+            change = float(np.abs(found - ratio)[self._counted].mean())
+            ratio, coefficients = found, self.filtered(found)
+            if change < _SETTLED and sweep >= searched:
+                break
+        return coefficients
+
+    def _form(self, error: FloatArray) -> FloatArray:
+        return np.maximum(half_angle_form(_wrapped(error), self._riccati)[0], 1e-9)
+
+    def _best(self, inputs: list[FloatArray], coefficients: FloatArray) -> FloatArray:
+        """Return for each node the input with the least value after a step."""
+        best, least = inputs[0], np.full(self._base.shape, math.inf)
+        for u in inputs:
+            after, cost = self._moved(u)
+            place = self._axes.position(np.moveaxis(after, -1, 0))[0]
+            value = cost + self._form(after) * _interpolated(coefficients, place) ** 2
+            better = value < least
+            best, least = np.where(better[..., None], u, best), np.minimum(value, least)
+        return best
+
+    def _trials(self) -> list[FloatArray]:
+        """Return inputs from limit to limit, one for all nodes each."""
+        bound = _UNLIMITED * np.array([self._speed, 1.0])
+        low, high = np.maximum(self._low, -bound), np.minimum(self._high, bound)
+        axes = (np.linspace(low[0], high[0], 4), np.linspace(low[1], high[1], 5))
+        return [
+            np.broadcast_to(pair, (*self._nodes.shape[:-1], 2)) for pair in itertools.product(*axes)
+        ]
+
+    def _descending(self, ratio: FloatArray, coefficients: FloatArray) -> FloatArray:
+        """Return u = -1/2 R^-1 g^T V_e within the limits at the nodes, (..., 2)."""
+        slope = self._base_slope * (ratio**2)[..., None]
+        stretch = self._axes.position(np.moveaxis(self._nodes, -1, 0))[1]
+        for axis in range(3):
+            by_node = _at_nodes(coefficients, axis)
+            slope[..., axis] += 2.0 * ratio * self._base * by_node * stretch[axis]
+        theta = self._nodes[..., 2]
+        ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
+        descent = np.stack([ahead, slope[..., 2]], axis=-1)
+        wanted = -0.5 * descent @ np.linalg.inv(self._input_cost)
+        return np.clip(wanted, self._low, self._high)
+
+    def _moved(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the errors a step later, and the cost on the way by Simpson's rule."""
+        half = self._after(self._nodes, u, 0.5 * self._step)
+        after = self._after(half, u, self._step)
+        costs = self._cost(self._nodes) + 4.0 * self._cost(half) + self._cost(after)
+        effort = ((u @ self._input_cost) * u).sum(-1)
+        return after, self._step * (costs / 6.0 + effort)
+
+    def _after(self, middle: FloatArray, u: FloatArray, time: FloatArray) -> FloatArray:
+        """Return the errors after a time [s]: robot and target on arcs, s_p' as at `middle`."""
+        error = self._nodes
+        s, y, theta = error[..., 0], error[..., 1], error[..., 2]
+        target = self._speed * np.cos(middle[..., 2]) + self._gain * middle[..., 0]
+        covered = np.clip(target, -self._fastest, self._fastest) * time
+        turned = self._curvature * covered
+        turn = (self._curvature * self._speed + u[..., 1]) * time
+        ahead, aside = _chord((self._speed + u[..., 0]) * time, turn)
+        path_ahead, path_aside = _chord(covered, turned)
+        cos, sin = np.cos(theta), np.sin(theta)
+        x = s + cos * ahead - sin * aside - path_ahead
+        z = y + sin * ahead + cos * aside - path_aside
+        cos, sin = np.cos(turned), np.sin(turned)
+        return np.stack([cos * x + sin * z, cos * z - sin * x, theta + turn - turned], axis=-1)
+
+    def _cost(self, error: FloatArray) -> FloatArray:
+        wrapped = _wrapped(error)
+        return np.asarray(((wrapped @ self._state_cost) * wrapped).sum(-1))
+
+
+def _chord(length: FloatArray, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far an arc leads ahead and to the left of its beginning."""
+    straight = length * np.sinc(turn / (2.0 * math.pi))
+    return straight * np.cos(0.5 * turn), straight * np.sin(0.5 * turn)
+
+
+def _wrapped(error: FloatArray) -> FloatArray:
+    found = error.copy()
+    found[..., 2] = wrap_angle(error[..., 2])
+    return found
+
+
+def _interpolated(coefficients: FloatArray, place: FloatArray) -> FloatArray:
+    """Return rho at places (3, ...) [nodes]."""
+    from scipy.ndimage import map_coordinates
+
+    return np.asarray(
+        map_coordinates(coefficients, place + 1.0, order=3, prefilter=False, mode="nearest")
+    )
+
+
+def _at_nodes(coefficients: FloatArray, slope: int | None = None) -> FloatArray:
+    """Return rho at the nodes, or its derivative along an axis [1/node]."""
+    found = coefficients
+    for axis in range(3):
+        count = coefficients.shape[axis] - (2 if axis < 2 else 3)
+        before, here, after = (np.take(found, range(k, k + count), axis) for k in range(3))
+        found = 0.5 * (after - before) if axis == slope else (before + 4.0 * here + after) / 6.0
+    return found

@@ -1,0 +1,135 @@
+"""The value function on a grid, against offline optima, simulated costs and finite differences."""
+
+import math
+
+import numpy as np
+import pytest
+
+from adp_path_follower.core.control import value_store
+from adp_path_follower.core.control.value_iteration import ValueProblem
+from adp_path_follower.core.control.value_store import problem_of, stored, value_grid
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
+from adp_path_follower.study.simulation.simulate import simulate
+
+DEFAULT = build(Settings, {})
+# Starts on the line and J* by collocation from six guesses, for the default limits, 40 s. From
+# (-1.970, 1.718, 2.816) the six lead to 24.848, which this policy undercuts by 1.8 %: left out.
+OPTIMA = {
+    (1.25095467, 1.05056254, -3.05192412): 13.162026,
+    (3.97213801, 1.37996581, 0.80715022): 43.866618,
+    (2.75685690, 1.76450244, 1.84112194): 36.319238,
+    (-2.74792810, -3.49211981, 0.08170392): 39.014594,
+    (-1.99833715, -0.59686533, 1.41905376): 8.077046,
+    (3.73553445, -2.60436038, -1.71893195): 69.875003,
+    (-4.94734695, -0.97501702, -1.89424749): 66.967012,
+    (3.21228418, -4.03295906, -0.85999873): 84.955978,
+    (2.97069429, 4.67828051, -2.01435134): 77.214703,
+    (-0.32065047, -2.84995963, -0.96722450): 24.655284,
+    (-2.21574388, -1.99579919, 0.46076305): 13.210109,
+}
+STARTS = np.array(list(OPTIMA))
+
+
+@pytest.fixture(scope="module")
+def grid():
+    return value_grid(DEFAULT)
+
+
+def test_far_from_a_line_the_cost_is_the_optimum():
+    result = simulate(
+        DEFAULT, named_path("line"), STARTS, learning="warm", duration=40.0, rate=50.0
+    )
+    ratio = result.cost / list(OPTIMA.values())
+    assert ratio.min() > 1.0 - 1e-5
+    assert np.median(ratio) < 1.0005
+    assert ratio.max() < 1.001
+
+
+def test_the_value_is_the_cost_that_is_left_to_come(grid):
+    for curvature in (0.25, 0.6):  # layers of the grid, where nothing is interpolated
+        path = named_path(f"circle:{curvature}")
+        result = simulate(DEFAULT, path, STARTS, learning="warm", duration=40.0, rate=50.0)
+        value, _ = grid.value_and_slope(STARTS, np.full(len(STARTS), curvature))
+        # The grid interpolates: half of the starts within 0.5 %, a way round the back within 8 %.
+        assert np.median(np.abs(result.cost / value - 1.0)) < 5e-3
+        assert np.abs(result.cost / value - 1.0).max() < 0.08
+
+
+def test_the_slope_is_that_of_the_value(grid):
+    rng, step = np.random.default_rng(0), 1e-5
+    errors = rng.uniform(-1.0, 1.0, (300, 3)) * [30.0, 30.0, 3.0]
+    curvatures = rng.uniform(-2.0, 2.0, 300)
+    _, slope = grid.value_and_slope(errors, curvatures)
+    for axis in range(3):
+        shift = step * np.eye(3)[axis]
+        ahead, _ = grid.value_and_slope(errors + shift, curvatures)
+        behind, _ = grid.value_and_slope(errors - shift, curvatures)
+        difference = (ahead - behind) / (2.0 * step)
+        np.testing.assert_allclose(slope[:, axis], difference, rtol=1e-4, atol=1e-3)
+
+
+def test_one_robot_has_the_value_of_one_of_many_and_its_mirror_image(grid):
+    for error, curvature in zip(STARTS, np.linspace(-1.0, 1.0, len(STARTS)), strict=True):
+        value, slope = grid.value_and_slope(error, np.array(curvature))
+        many = grid.value_and_slope(np.tile(error, (3, 1)), np.full(3, curvature))
+        np.testing.assert_allclose(value, many[0][1], rtol=1e-12)
+        mirror = np.array([1.0, -1.0, -1.0])
+        mirrored, turned = grid.value_and_slope(error * mirror, np.array(-curvature))
+        assert mirrored == pytest.approx(value, rel=1e-12)
+        np.testing.assert_allclose(turned * mirror, slope, rtol=1e-9)
+
+
+def test_heading_pi_and_minus_pi_have_one_value(grid):
+    for place in ((3.0, 2.0), (-2.0, 4.0)):
+        ends = [
+            grid.value_and_slope(np.array([*place, t]), np.array(0.3)) for t in (-math.pi, math.pi)
+        ]
+        assert ends[0][0] == pytest.approx(ends[1][0], rel=1e-9)
+
+
+def test_noise_does_not_keep_a_robot_between_two_ways():
+    """Straight behind the target and facing away, left and right cost the same."""
+    starts = np.array([[-4.0, 0.0, math.pi], [4.0, 0.0, math.pi], [4.0, 0.0, 0.0]])
+    rng = np.random.default_rng(3)
+    noisy = np.repeat(starts, 10, axis=0) + rng.normal(0.0, 1e-3, (30, 3))
+    result = simulate(
+        DEFAULT, named_path("line"), noisy, learning="frozen", duration=40.0, rate=50.0
+    )
+    assert not result.failed.any()
+    assert np.linalg.norm(result.final_error, axis=1).max() < 0.05
+    for same in result.cost.reshape(3, 10):
+        assert np.ptp(same) < 0.01 * same.mean()
+
+
+def test_what_is_stored_is_read_again_to_the_last_bit(grid, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(value_store, "_found", {})
+    monkeypatch.setattr(value_store, "solve", lambda problem: grid)
+    value_store._solved.cache_clear()
+    problem = problem_of(DEFAULT)
+    assert stored(problem) is None
+    again = value_grid(DEFAULT)
+    assert again is not grid
+    assert again.coefficients.tobytes() == grid.coefficients.tobytes()
+    (file,) = (tmp_path / "adp_path_follower").iterdir()
+    file.write_bytes(file.read_bytes()[:1000])
+    value_store._found.clear()
+    assert stored(problem) is None  # a damaged file is found anew
+
+
+def test_a_home_that_cannot_be_written_costs_only_time(grid, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setattr(value_store, "_found", {})
+    monkeypatch.setattr(value_store, "solve", lambda problem: grid)
+    value_store._solved.cache_clear()
+    assert value_grid(DEFAULT) is grid
+
+
+def test_a_speed_limit_for_now_and_phi_do_not_ask_for_another_one():
+    same = build(Settings, {"speed_limit": 0.3, "path_state_gain": 0.2})
+    assert problem_of(same) == problem_of(DEFAULT)
+    other: ValueProblem = problem_of(build(Settings, {"max_linear_vel": 0.9}))
+    assert other != problem_of(DEFAULT)
