@@ -20,7 +20,6 @@ from adp_path_follower.study.simulation.simulate import simulate
 from adp_path_follower.study.simulation.trajectories import Trajectories
 from sim_unicycle.settings import PlantSettings
 
-_SLOW_ROBOT: dict[str, object] = {"max_linear_vel": 0.6, "max_angular_vel": 1.5}
 
 
 def run(
@@ -89,21 +88,6 @@ def target_gain() -> Figure:
     behind.set(xlabel="time [s]", ylabel="s [m]")
     behind.legend(title="target_gain")
     speed.set(xlabel="time [s]", ylabel="v [m/s]")
-    return figure
-
-
-def approach_angle() -> Figure:
-    """Show how steeply the robot comes from far away."""
-    figure = Figure(figsize=(8.0, 3.0))
-    axes = figure.subplots()
-    axes.axhline(0.0, color="black", linewidth=1.0, label="path")
-    for color, angle in zip(COLORS, (0.5, 1.2, 1.5), strict=False):
-        found = run("line", (0.0, 4.0, 0.0), 30.0, approach_angle=angle, **_SLOW_ROBOT)
-        x, y, _ = found.pose[0].T
-        near = x < 12.0
-        axes.plot(x[near], y[near], color=color, label=f"{angle:g} rad")
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="way from 4 m beside the path")
-    axes.legend(title="approach_angle", loc="upper right")
     return figure
 
 
@@ -212,7 +196,6 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "lateral_cost": lateral_cost,
     "steering_cost": steering_cost,
     "target_gain": target_gain,
-    "approach_angle": approach_angle,
     "actuation_delay": actuation_delay,
     "lateral_acceleration": lateral_acceleration,
     "accelerations": accelerations,
