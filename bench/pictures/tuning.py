@@ -21,7 +21,6 @@ from adp_path_follower.study.simulation.trajectories import Trajectories
 from sim_unicycle.settings import PlantSettings
 
 
-
 def run(
     path: str | Path,
     start: tuple[float, float, float],
