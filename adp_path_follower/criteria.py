@@ -13,10 +13,7 @@ APPROACHED_LEAST = 0.01  # [m]
 
 
 def is_settled(error: FloatArray) -> np.ndarray:
-    """Return where |e| of e = [s, y, theta], shape (..., 3), is below 0.05, shape (...).
-
-    Errors that are not finite have not settled.
-    """
+    """Return where |e| of finite e = [s, y, theta] (..., 3) is below 0.05, shape (...)."""
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", error, error)) < SETTLED)
 
 
@@ -26,19 +23,12 @@ def is_off_path(distance: FloatArray) -> np.ndarray:
 
 
 def transient(duration: float) -> float:
-    """Return the transient [s] of a run's duration [s]: 10 s, or a third of a short run.
-
-    Steady errors count from then on.
-    """
+    """Return the transient [s] of a run's duration [s]: 10 s, or a third of a short run."""
     return min(TRANSIENT, TRANSIENT_SHARE * duration)
 
 
 def has_approached(distance: FloatArray) -> np.ndarray:
-    """Return where a robot is on the path, for distances from it over time [m] (N,), shape (N,).
-
-    There the distance is below 5 % of the first one, or 10 mm. Unlike `is_settled` this needs no
-    virtual target, so runs of any controller have it.
-    """
+    """Return where distances over time [m] (N,) are below 5 % of the first one, or 10 mm, (N,)."""
     first = float(np.abs(distance[0])) if len(distance) else 0.0
     return np.asarray(np.abs(distance) < max(APPROACHED_SHARE * first, APPROACHED_LEAST))
 

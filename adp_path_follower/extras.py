@@ -22,8 +22,7 @@ _SLOW = ("distributed", "optuna")  # to import: half a second each, which not ev
 def require(subject: str, extra: str) -> None:
     """Check that the libraries of an extra, one of `EXTRAS`, are installed for a subject.
 
-    The subject is the command or part that needs them, such as "adp sweep". Raises AdpError, which
-    says how to install it, if one is missing or cannot be imported.
+    Raises AdpError, which names "adp sweep" or another subject and says how to install them.
     """
     missing = [name for name in EXTRAS[extra] if importlib.util.find_spec(name) is None]
     if missing:

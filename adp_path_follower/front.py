@@ -1,7 +1,4 @@
-"""The functions of `import adp_path_follower as adp`: plain arguments in, results out.
-
-Paths are given as points, by name or as a file, settings by name, as a file or as an object.
-"""
+"""The functions of `import adp_path_follower as adp`: plain arguments in, results out."""
 
 from __future__ import annotations
 

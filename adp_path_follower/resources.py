@@ -17,14 +17,7 @@ def config_file(name: str) -> FilePath:
 
 
 def parameter_file(name: str) -> FilePath:
-    """Return a parameter file that comes with the package, such as "paper", or the file named.
-
-    A name has neither folder nor extension; "./paper" is a file.
-
-    Raises:
-        FileError: It looks like a name, but there is neither such a name nor such a file.
-
-    """
+    """Return a packaged file such as "paper", or the file named ("./paper"); else FileError."""
     file = FilePath(name)
     if file.suffix or os.sep in name or name in ("", os.curdir, os.pardir):
         return file

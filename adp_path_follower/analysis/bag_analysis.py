@@ -99,10 +99,7 @@ def metrics_table(analyses: Sequence[BagAnalysis]) -> str:
 
 
 def names_of(bags: Sequence[FilePath]) -> list[str]:
-    """Return a name for each bag: its own, with as many folders before it as tell it from others.
-
-    A bag that is given twice gets a number.
-    """
+    """Return each bag's name, with the folders that tell it apart, or a number if given twice."""
     parts = [bag.resolve().parts for bag in bags]
     found = []
     for number, own in enumerate(parts):

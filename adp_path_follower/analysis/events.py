@@ -51,8 +51,7 @@ def events_of(drive: Drive) -> tuple[tuple[Event, ...], str]:
 def thinned(events: Sequence[Event]) -> tuple[tuple[Event, ...], str]:
     """Return at most `MOST_EVENTS` of the events, and a note on how many of which kind are not.
 
-    The kinds that matter most are kept whole, and the first kind for which there is no room is
-    thinned evenly: a planner that sends a path every second must not hide a fault.
+    The kinds that matter most come first: a planner that sends many paths must not hide a fault.
     """
     kept: list[int] = []
     left_out = []

@@ -40,9 +40,8 @@ def followed_routes(
 ) -> Followed:
     """Return the routes of a run; a path that came after the first odometry counts from there on.
 
-    `clock` translates arrival into the clock of the odometry. `path` has poses x, y, heading to
-    compare with instead of the bag's paths, None for those. Raises FileError if there is no path
-    that can be followed, or none in a frame that can be compared.
+    `clock` translates arrival to the odometry's clock. `path` has poses x, y, heading to compare
+    with; None takes the bag's. Raises FileError if no path can be followed or compared.
     """
     notes: list[str] = []
     found: Sequence[tuple[int, Route, str]]
@@ -97,9 +96,9 @@ def _recorded(bag: FilePath, run: Run, notes: list[str]) -> list[tuple[int, Rout
 
 
 def route_along(poses: FloatArray, tolerance: float = _AS_DRAWN) -> Route:
-    """Return the route along the polyline of poses: another controller rounds it as it likes.
+    """Return the route along poses x, y, heading (NaN without), shape (N, 3).
 
-    The poses are x, y and heading, NaN without, shape (N, 3); the route may be as far from them as
+    Another controller rounds the polyline as it likes, so the route may be as far from the poses as
     the tolerance [m]. Raises PathError if they make no path.
     """
     try:

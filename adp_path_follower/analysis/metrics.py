@@ -115,10 +115,7 @@ _STATE = "time_in_state."
 def measure_drive(
     drive: Drive, shared: Settings | None = None
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return name -> value, NaN where the bag does not tell, and notes on what is missing.
-
-    Settings that bags share say what J counts; else it is what the controller ran with.
-    """
+    """Return name -> value, NaN if unknown, and notes; J counts by `shared` settings, if any."""
     values = dict.fromkeys(METRIC_NAMES, math.nan)
     driving = drive.driving
     time = drive.odometry.time[driving]
@@ -149,7 +146,7 @@ def measure_drive(
 
 
 def approach(time: FloatArray, cross_track: FloatArray, noise: float = 0.0) -> dict[str, float]:
-    """Return approach time [s] and overshoot of a distance [m] over time [s], shape (N,) each.
+    """Return approach time [s] and overshoot, from distances [m] over time [s], shape (N,) each.
 
     Neither is known of a robot that began on the path, as far as noise [m] tells.
     """
@@ -297,9 +294,6 @@ def parse_requirement(text: str) -> Requirement:
 
 
 def with_states(values: Mapping[str, float], states: Mapping[str, float]) -> dict[str, float]:
-    """Return all numbers that a requirement can name.
-
-    Where a bag says the states, those that it does not name took no time; else none is known.
-    """
+    """Return all numbers that a requirement can name; states that a bag leaves out took no time."""
     known = {**dict.fromkeys((state.value for state in State), 0.0), **states} if states else {}
     return {**values, **{f"{_STATE}{name}": spent for name, spent in known.items()}}

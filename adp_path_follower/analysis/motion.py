@@ -21,24 +21,16 @@ _NOISE_OF_DIFFERENCES = 0.6745 * math.sqrt(6.0)  # median |second difference| of
 
 @dataclass(frozen=True)
 class Motion:
-    """The steps of a robot from each pose to the next.
+    """The steps of a robot from each pose to the next."""
 
-    Attributes:
-        along: Distance driven since the pose before, negative backwards [m], shape (N,).
-        hidden: Way beyond that, of a robot that turned back between two poses [m], shape (N,).
-        reach: How far the robot may have driven since then [m], shape (N,).
-        carried: Whether the robot, or its odometry, was put elsewhere in between, shape (N,).
-        noise: Standard deviation of the positions [m], as far as they tell.
-        position: x, y [m], shape (N, 2).
-
-    """
-
-    along: FloatArray
+    along: FloatArray  # distance driven since the pose before, negative backwards [m], shape (N,)
+    # Way beyond that, of a robot that turned back between two poses [m], shape (N,).
     hidden: FloatArray
-    reach: FloatArray
+    reach: FloatArray  # how far the robot may have driven since then [m], shape (N,)
+    # Whether the robot, or its odometry, was put elsewhere in between, shape (N,).
     carried: np.ndarray
-    noise: float
-    position: FloatArray
+    noise: float  # standard deviation of the positions [m], as far as they tell
+    position: FloatArray  # x, y [m], shape (N, 2)
 
     def distance(self, chosen: np.ndarray) -> float:
         """Return the length of the track over chosen poses (N,), without noise and jumps [m]."""
@@ -60,18 +52,12 @@ def _breaks(chosen: np.ndarray, carried: np.ndarray) -> np.ndarray:
 
 
 def motion_of(time: FloatArray, poses: FloatArray, speed: FloatArray, cut: np.ndarray) -> Motion:
-    """Return the motion between poses.
+    """Return the motion between poses x [m], y [m], theta [rad] (N, 3) at times [s] (N,).
 
     A step along an arc of constant curvature is longer than its chord, whose direction is halfway
     between the headings at its ends. Noise across that direction counts for nothing, and noise
-    along it cancels from step to step.
-
-    Args:
-        time: Time of each pose [s], shape (N,).
-        poses: x [m], y [m], theta [rad], shape (N, 3).
-        speed: v [m/s] as the odometry says, zero where it does not, shape (N,).
-        cut: Where time was set back before a pose, shape (N,).
-
+    along it cancels from step to step. `speed` is v [m/s] by the odometry, zero where it says none,
+    and `cut` says where time was set back before a pose, shape (N,) each.
     """
     step = np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2])
     period = np.diff(time, prepend=time[:1])

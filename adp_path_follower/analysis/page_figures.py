@@ -107,10 +107,7 @@ def _track(analyses: Sequence[BagAnalysis]) -> go.Figure:
 
 
 def _by_distance(track: Track) -> dict[str, Any]:
-    """Return the markers of a track whose colour is the distance from the path.
-
-    The page replaces the colours by those of its theme.
-    """
+    """Return markers coloured by the distance from the path; the page's theme recolours them."""
     ticks = np.linspace(0.0, track.color_limit, 5)
     texts = [f"{tick:.3g}" for tick in ticks]
     return {

@@ -73,10 +73,9 @@ class Drive:
 
 
 def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
-    """Return the drive that a run holds.
+    """Return the drive of a run, on its own path or on poses x, y, heading (N, 3).
 
-    `path` has poses x, y, heading (N, 3) of a path to compare with instead of the bag's. Raises
-    FileError if there is no odometry or no path that can be followed.
+    Raises FileError if there is no odometry or no path that can be followed.
     """
     line = _odometry(bag, run)
     odometry = line.series
@@ -191,11 +190,7 @@ def _timed(series: Series, start: int, stamp: np.ndarray | None = None) -> Timed
 
 
 def _learner(run: Run, clock: Clock, start: int) -> dict[str, Timed]:
-    """Return the learner's topics on the time axis.
-
-    Weights and errors carry no stamp. With one message for each step they belong to the steps in
-    order; else the time of their arrival, which lags, must do.
-    """
+    """Return the learner's topics by step, if each has a message, else by arrival, which lags."""
     steps = run.series.get("tracking_error")
     found = {}
     for key, series in run.series.items():
@@ -216,11 +211,7 @@ def _between(series: Series, first: int, last: int) -> Series:
 
 
 def _latency(line: Timeline, commands: Series, notes: list[str]) -> FloatArray:
-    """Return how long after its odometry each command arrived [s].
-
-    A command answers the odometry of its own stamp, which lock-step may have repeated; where there
-    is none, the last that arrived before it.
-    """
+    """Return how long [s] each command came after the odometry of its stamp, or the last before."""
     odometry = Series(line.all_stamps, np.zeros((0, 0)), (), line.all_arrivals)
     if not len(commands.stamp):
         return np.zeros(0)
@@ -241,8 +232,7 @@ def _latency(line: Timeline, commands: Series, notes: list[str]) -> FloatArray:
 def _last_before(odometry: Series, commands: Series) -> tuple[np.ndarray, np.ndarray]:
     """Return which commands have the stamp of odometry, and the arrival of the last such [ns].
 
-    Where all of it arrived after the command, which the recorder may see in the wrong order, it is
-    the first.
+    Where the recorder saw all of it after the command, it is the first.
     """
     order = np.lexsort((odometry.arrival, odometry.stamp))
     stamps, arrivals = odometry.stamp[order], odometry.arrival[order]

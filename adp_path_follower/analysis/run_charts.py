@@ -1,7 +1,4 @@
-"""The charts of a recorded run.
-
-Everything here is decimated, so that it stays small however long the bag is.
-"""
+"""The charts of a recorded run, decimated so that they stay small however long the bag is."""
 
 from collections.abc import Callable
 
@@ -139,11 +136,7 @@ def _track(drive: Drive, bags: int) -> Track:
 
 
 def _color_limit(drive: Drive) -> float:
-    """Return the distance from the path that 95 % of a run after its transient are below [m].
-
-    In the first seconds the robot may be hundreds of times farther away than later, which would
-    leave one colour for all the rest.
-    """
+    """Return the distance [m] that 95 % of a run after its far-away beginning are below."""
     chosen = drive.driving & (drive.odometry.time >= transient(drive.end))
     distance = np.abs(drive.projection.cross_track[chosen])
     return max(float(np.quantile(distance, 0.95)) if len(distance) else 0.0, _LEAST_DISTANCE)

@@ -15,10 +15,9 @@ _SPACING = 0.02  # [m] of the places that poses are compared with
 def segments_driven(route: Route, poses: FloatArray, speed: FloatArray) -> np.ndarray:
     """Return the number of the segment that each pose [x, y, theta] (N, 3) belongs to, shape (N,).
 
-    Poses are in order of time, with a speed v [m/s] (N,), negative backwards. Segments are driven
-    in their order, so the numbers never fall; of all such numbers these are nearest to the poses,
-    by squared distances summed up over the way that was driven. The direction of motion counts as
-    the heading does in `best_place`, for there and back may be the same way.
+    Poses are in order of time, with a speed v [m/s] (N,), negative backwards. The numbers never
+    fall; of all such numbers these have the least squared distances, summed up over the way driven.
+    The direction of motion counts as the heading does in `best_place`.
     """
     if len(route.segments) == 1 or not len(poses):
         return np.zeros(len(poses), dtype=np.intp)
@@ -41,11 +40,7 @@ def _features(poses: FloatArray) -> FloatArray:
 
 
 def _monotone(costs: FloatArray) -> np.ndarray:
-    """Return for each row of costs (N, K) a column, never falling, of the least sum, (N,).
-
-    By dynamic programming over the columns: the rows up to i with the last of them in column k cost
-    least if those from some row j on are in it, and those before are as cheap as may be without it.
-    """
+    """Return columns (N,) of costs (N, K), never falling, of least sum, by dynamic programming."""
     rows, columns = costs.shape
     total = np.vstack([np.zeros(columns), np.cumsum(costs, axis=0)])  # of the rows before each
     # Least cost of the rows before each with the columns up to k, and with at least one in k.

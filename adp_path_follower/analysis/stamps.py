@@ -1,8 +1,7 @@
 """Times of messages that can be trusted: stamps where they are sound, else arrival.
 
-People's bags have stamps that are all zero or all alike, of another clock than the commands', that
-go back as a simulator is reset, or come out of order. Each of these is found here, once for every
-topic, and whatever is done about it is said in a note.
+Bags have stamps that are all zero or alike, of another clock, out of order, or that go back as a
+simulator is reset. A note says what is done about each.
 """
 
 from collections.abc import Sequence
@@ -63,10 +62,7 @@ class Clock:
 
 
 def timeline(series: Series, name: str, clock: Clock | None = None) -> Timeline:
-    """Return messages, given in order of arrival, with times that can be trusted, in their order.
-
-    The topic's name is for notes; `clock` is that of the odometry, None for the odometry itself.
-    """
+    """Return messages in the order of times to trust; `clock` is the odometry's, else None."""
     sound = _sound(series.values)
     notes = []
     if not sound.all():

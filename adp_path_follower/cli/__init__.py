@@ -1,5 +1,4 @@
 """The `adp` command: options, outputs and exit codes.
 
-May import every room.
-Never does mathematics.
+May import every room. Never does mathematics.
 """

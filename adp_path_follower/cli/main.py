@@ -68,10 +68,7 @@ class _LazyGroup(click.Group):
 
 
 def _mark_examples(command: click.Command) -> None:
-    r"""Turn the \b above examples into the character by which click knows lines to be kept.
-
-    Docstrings are raw strings, in which it is two characters.
-    """
+    r"""Turn the \b above examples, two characters in raw docstrings, into the one click knows."""
     command.help = (command.help or "").replace("\\b\n", "\b\n")
 
 

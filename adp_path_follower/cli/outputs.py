@@ -75,11 +75,9 @@ def new_directory(directory: FilePath) -> FilePath:
 
 @contextlib.contextmanager
 def output_directory(directory: FilePath, keep: bool = False) -> Iterator[FilePath]:
-    """Make an output directory, and remove what the block has written if the block fails.
+    """Make an output directory, or `keep` its files; remove what a failing block has written.
 
-    Half a report is of no use, and the same command again would be rejected because of it. With
-    `keep`, files stay if there are any. Raises FileError as `new_directory`, or if something in it
-    cannot be written.
+    Raises FileError as `new_directory`, or if something in it cannot be written.
     """
     was_there = os.path.lexists(directory)  # which no name is too long for
     new_directory(directory)

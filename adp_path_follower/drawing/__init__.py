@@ -1,5 +1,4 @@
 """Turns arrays into pictures and pages: style, charts, figures, templates.
 
-May import `core`.
-Never reads bags or imports ROS.
+May import `core`. Never reads bags or imports ROS.
 """

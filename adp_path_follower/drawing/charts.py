@@ -1,7 +1,4 @@
-"""Data of charts, for the page and for PNG files.
-
-Curves are decimated, so that a chart stays small however long the bag is.
-"""
+"""Data of charts, for the page and for PNG files, decimated to stay small for any bag."""
 
 import math
 from collections.abc import Sequence
@@ -106,10 +103,7 @@ def histogram(label: str, values: FloatArray) -> Histogram:
 
 
 def path_line(paths: Sequence[Path], bags: int) -> FloatArray:
-    """Return positions along all paths as one line with gaps, shape (N, 2).
-
-    However many there are, each keeps a few points, so that its shape is to be seen.
-    """
+    """Return positions along all paths as one line with gaps, (N, 2); each keeps a few points."""
     spacing = max(0.05, sum(path.length for path in paths) * bags / _PATH_POINTS)
     gap = np.full((1, 2), np.nan)
     pieces = []
@@ -122,8 +116,7 @@ def path_line(paths: Sequence[Path], bags: int) -> FloatArray:
 def extremes(values: FloatArray, buckets: int) -> np.ndarray:
     """Return increasing indices of the values (N,) to keep so that a figure shows every peak.
 
-    Each bucket of neighbouring values keeps its least and its greatest, and the first and the last
-    of all are kept: at most 2 `buckets` + 2. Values that are not finite are no peaks.
+    These are each bucket's least and greatest finite values, the first and the last of all.
     """
     count = len(values)
     if count <= 2 * buckets:

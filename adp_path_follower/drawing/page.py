@@ -10,10 +10,9 @@ from adp_path_follower.extras import require
 
 
 def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) -> None:
-    """Write a page from the templates of a name: NAME.html.j2 and NAME.js.
+    """Write a page: NAME.html.j2 shows `content`, and NAME.js the figures in `data`.
 
-    `data` is for the script (figures above all), `content` for the template; all pages share the
-    style of the first. Raises AdpError if it cannot be written, or Plotly or Jinja2 is missing.
+    Raises AdpError if it cannot be written, or Plotly or Jinja2 is missing.
     """
     require("the page", "report")
     import jinja2

@@ -46,10 +46,7 @@ class RunView:
 def draw_figures(
     view: RunView, directory: FilePath, optimum: ReferenceMotion | None = None
 ) -> list[FilePath]:
-    """Draw the paper's figures of a run into a directory; return the PNG files.
-
-    Circles mark the offline optimum, if one is given, as in the paper.
-    """
+    """Draw the paper's figures into a directory, the optimum as circles; return the PNG files."""
     drawings = {
         "figure_2_path.png": lambda: _path(view, optimum),
         "figure_3_states.png": lambda: _against_optimum(

@@ -30,10 +30,9 @@ class Commands:
     def __init__(
         self, node: Node, stamped: bool, lossless: bool, timeout: Callable[[], float]
     ) -> None:
-        """Create the publisher, of TwistStamped or Twist, and start the thread.
+        """Create the publisher and start the thread.
 
-        `lossless` keeps commands for late subscribers; `timeout` returns how long [s] a robot may
-        go on with one command.
+        A robot goes on with one command for `timeout()` [s]; `lossless` serves late subscribers.
         """
         self.frame = "base_link"
         self._node, self._stamped, self._timeout = node, stamped, timeout

@@ -39,10 +39,7 @@ class FarValue:
         return dataclasses.replace(wanted, policy=policy)
 
     def has_come(self, driver: Driver, wanted: Settings) -> bool:
-        """Return whether a driver can go on with the wanted settings instead of its present ones.
-
-        A missing value function is found as soon as the robot is far from the path.
-        """
+        """Return whether a driver can take the wanted settings; far away, start to find them."""
         if wanted.policy.wide_region == driver.settings.policy.wide_region:
             return False
         if self._process is None:

@@ -194,12 +194,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._update_status()
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
-        """Return what takes over other settings between two steps.
-
-        Raises:
-            SettingsError: No policy can be found for them.
-
-        """
+        """Return what takes over settings between steps; SettingsError if no policy is found."""
         change = self._driver.prepared(self._far_value.drivable(settings))
 
         def take_over() -> None:

@@ -17,12 +17,7 @@ from adp_path_follower.ros.runtime.conversions import Measurement, MessageError,
 
 
 class OdometryInput:
-    """Keeps the last sound measurement.
-
-    Attributes:
-        measurement: It, None before the first.
-
-    """
+    """Keeps the last sound measurement."""
 
     def __init__(
         self,
@@ -31,15 +26,7 @@ class OdometryInput:
         take: Callable[[Measurement], None],
         refuse: Callable[[OdometryProblem], None],
     ) -> None:
-        """Subscribe.
-
-        Args:
-            node: The controller.
-            settings: Returns what to check messages by.
-            take: Called with each sound measurement.
-            refuse: Called with what is wrong with a message.
-
-        """
+        """Subscribe; `take` gets sound measurements, `refuse` the fault of any other message."""
         self.measurement: Measurement | None = None
         self._node, self._settings = node, settings
         self._take, self._refuse = take, refuse

@@ -18,13 +18,7 @@ from adp_path_follower.ros.runtime.qos import LATCHED
 
 
 class PathInput:
-    """Keeps what path is followed, and why the last one is not.
-
-    Attributes:
-        followed: The path that is followed, None without one.
-        problem: Why the last path was rejected, empty if it was not.
-
-    """
+    """Keeps what path is followed, and why the last one is not."""
 
     def __init__(
         self,
@@ -34,18 +28,9 @@ class PathInput:
         refuse: Callable[[str], None],
         fit: Fit,
     ) -> None:
-        """Subscribe.
-
-        Args:
-            node: The controller.
-            settings: Returns what to prepare paths with.
-            follow: Called to follow another path, or none.
-            refuse: Called with a sentence where a path cannot be followed.
-            fit: Makes routes; called in another thread.
-
-        """
+        """Subscribe; `follow` gets a path or none, `refuse` a sentence; a thread calls `fit`."""
         self.followed: PathAnswer | None = None
-        self.problem = ""
+        self.problem = ""  # why the last path was rejected
         self._node, self._settings = node, settings
         self._follow, self._refuse = follow, refuse
         self._odom_frame = ""
@@ -63,10 +48,7 @@ class PathInput:
         self._node.destroy_subscription(self._subscription)
 
     def odometry_in(self, frame: str) -> None:
-        """Note the odometry's frame; where it has changed, the path is needed in the new one.
-
-        So is one that was rejected: the frame may have been the reason.
-        """
+        """Note the odometry's frame; if it changed, ask again for the path, also a rejected one."""
         changed, self._odom_frame = frame != self._odom_frame, frame
         if self.followed is not None and self.followed.followed_frame != frame:
             self._submit(replace(self.followed.request, odom_frame=frame))

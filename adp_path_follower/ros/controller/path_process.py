@@ -1,12 +1,9 @@
 """From the bytes of a path to a route, in a process of its own.
 
-Python's threads share one interpreter: a path of a hundred thousand poses, fitted in a thread,
-makes control steps wait for tens of milliseconds (`bench/speed/paths.py`). A process does not, and
-what ends it or stops it (a want of memory, a defect, a debugger) costs a path and not the robot.
-It is a fork of the node before that has any thread or any of its own imports, and imports what
-paths are fitted with (scipy's splines) while the node starts beside it: the node does without. One
-that replaces it is a new Python instead, as a fork would have the locks of the node's threads, but
-not the threads.
+A path of a hundred thousand poses, fitted in a thread, makes control steps wait for tens of
+milliseconds (`bench/speed/paths.py`). A process does not, and its end costs a path, not the robot.
+It is a fork of the node before that has threads, and imports scipy's splines while the node starts.
+One that replaces it is a new Python: a fork would have the locks of the node's threads.
 """
 
 from __future__ import annotations
@@ -42,18 +39,10 @@ Fit = Callable[[bytes, tuple[float, ...], PathSettings], Route]
 
 
 def route_of_message(raw: bytes, transform: tuple[float, ...], settings: PathSettings) -> Route:
-    """Return the route of a path, ready to be driven.
+    """Return the route of a path, a serialised nav_msgs/Path, ready to be driven.
 
-    Args:
-        raw: A serialised nav_msgs/Path.
-        transform: x [m], y [m], turn [rad] of its frame in that of the route; empty if they are
-            the same.
-        settings: Settings to prepare it with.
-
-    Raises:
-        AdpError: The path cannot be driven.
-        CdrError: The bytes are no path.
-
+    `transform` is x [m], y [m], turn [rad] of its frame in that of the route; empty if they are the
+    same. Raises AdpError if the path cannot be driven, CdrError if the bytes are no path.
     """
     from adp_path_follower.core.path.preparation import prepare
 
@@ -73,10 +62,7 @@ def reason(error: Exception) -> str:
 
 
 class FittingProcess:
-    """Answers what `route_of_message` answers; without a process, if none is to be had.
-
-    To be made before its maker has threads.
-    """
+    """Answers as `route_of_message`, in a process if it can; make it before there are threads."""
 
     def __init__(self) -> None:
         """Start the process; where the machine has none to give, do without."""
@@ -104,11 +90,8 @@ class FittingProcess:
     def route(self, raw: bytes, transform: tuple[float, ...], settings: PathSettings) -> Route:
         """Return the route of a path; see `route_of_message`.
 
-        Raises:
-            PathError: The path cannot be driven or read, or the process has ended at it, or does
-                not answer.
-            SystemExit: The process was told to end meanwhile.
-
+        Raises PathError if it cannot be driven or read, or the process fails at it; SystemExit if
+        told to end meanwhile.
         """
         with self._asking:
             if self._connection is not None and not self._process.is_alive():
@@ -146,10 +129,7 @@ class FittingProcess:
         return found
 
     def _replace(self) -> int | None:
-        """End the process, start another one, and return the exit code of the first.
-
-        Raises SystemExit if no other is wanted.
-        """
+        """Start another process and return the old one's exit code; SystemExit if not wanted."""
         with self._starting:
             if self._over:
                 sys.exit()  # ends this thread

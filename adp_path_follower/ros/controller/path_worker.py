@@ -1,7 +1,6 @@
-"""Paths come in: read, transformed and fitted while the robot drives on.
+"""Paths come in: read, transformed and fitted by `path_fitting` while the robot drives on.
 
-The control thread only hands over bytes and takes back a finished route; another thread waits for
-what becomes of them (`path_fitting`). A newer path supersedes an older one that is in the works.
+The control thread hands over bytes and takes a route; a newer path supersedes an older one.
 """
 
 import threading
@@ -95,14 +94,7 @@ class PathIntake:
         ready: Callable[[], None],
         fit: Fit = route_of_message,
     ) -> None:
-        """Start the thread.
-
-        Args:
-            frames: Knows where frames are, None without tf2.
-            ready: Called in the thread when there is an answer to `take`.
-            fit: Makes routes; called in the thread.
-
-        """
+        """Start the thread, which calls `fit` and `ready`; `frames` is None without tf2."""
         self._frames, self._ready, self._fit = frames, ready, fit
         self._changed = threading.Condition()
         self._request: PathRequest | None = None
@@ -125,10 +117,7 @@ class PathIntake:
             self._request = self._answer = self._pending = None
 
     def take(self, settings: PathSettings, odom_frame: str) -> PathAnswer | None:
-        """Return the answer to the latest request, once; None if there is none yet.
-
-        Where settings or frame have changed since it was asked, it is asked again.
-        """
+        """Return the latest answer, once, or None; ask again where settings or frame changed."""
         with self._changed:
             found, self._answer = self._answer, None
         if found is None:

@@ -17,10 +17,7 @@ class SpeedLimitInput:
     def __init__(
         self, node: Node, settings: Callable[[], Settings], answer: Callable[[str], None]
     ) -> None:
-        """Subscribe; `settings` returns the present settings.
-
-        For each message `answer` gets the reason why its limit cannot hold, empty if it does.
-        """
+        """Subscribe; `answer` gets why each limit cannot hold, empty if it does."""
         self._node, self._settings, self._answer = node, settings, answer
         self._subscription = node.create_subscription(Float64, "speed_limit", self._receive, 1)
 

@@ -56,8 +56,7 @@ _LEVELS = {
 def _quiet_publisher(node: Node, kind: type, topic: str, qos: QoSProfile | int) -> Publisher:
     """Return a publisher that does not warn of subscribers with an incompatible quality of service.
 
-    rclpy looks at whatever could warn before each message that the node takes: two such events of
-    each of these publishers would be most of what that costs.
+    rclpy would look for such events before each message that the node takes, at great cost.
     """
     silent = PublisherEventCallbacks(use_default_callbacks=False)
     return node.create_publisher(kind, topic, qos, event_callbacks=silent)
@@ -102,11 +101,7 @@ class Telemetry:
         lossless: bool,
         controller: Callable[[], ControllerSettings],
     ) -> None:
-        """Create the publishers; `labels` name the terms of the basis.
-
-        `lossless` publishes the first steps also without a subscriber, for late ones. `controller`
-        returns the present settings, for `debug_rate`.
-        """
+        """Create the publishers; `lossless` keeps first steps for late subscribers."""
         self._node, self._controller, self._period_told = node, controller, 0
         self._kept = 0  # steps that were published for those who join late
         self._listeners_known_until = self._next_marker = 0.0
@@ -145,7 +140,7 @@ class Telemetry:
         output: FollowerOutput,
         cost: float,
     ) -> None:
-        """Publish what one control step at a time [ns] went by and found; cost is J so far.
+        """Publish a control step at a time [ns]; cost is J so far.
 
         Measured are x, y, theta, shape (3,), and v, w and the age of the odometry [s], shape (3,).
         """
@@ -155,10 +150,7 @@ class Telemetry:
             publisher.publish(make(time, frame, output, cost))
 
     def _steps_to_tell(self, time: int) -> list[tuple[Publisher, MakeMessage]]:
-        """Return what is to be published of a step at a time [ns].
-
-        To ask seven publishers for their subscriptions costs as much as to publish a message.
-        """
+        """Return what to publish of a step at a time [ns]; to count subscribers is expensive."""
         if self._lossless and self._kept < LOSSLESS.depth:
             self._kept += 1
             wanted = self._steps
@@ -208,10 +200,7 @@ class Telemetry:
         return {name: f"{value:.4g}" for name, value in report.items()}
 
     def learning(self, problem: str) -> bool:
-        """Say when the Riccati policy takes over from the learned one and back; return if it did.
-
-        The problem is why the Riccati policy drives, empty if it does not.
-        """
+        """Say when the Riccati policy takes over, for a problem, and back; return if it did."""
         if problem == self._learning_problem:
             return False
         self._learning_problem = problem
@@ -232,17 +221,9 @@ class Telemetry:
         path_problem: str,
         values: dict[str, str],
     ) -> None:
-        """Publish state and cause, whether the last path was rejected, and how learning goes.
+        """Publish the state (which began at `since` [ns]), the path's problem and learning.
 
         On /diagnostics always, with all values; on ~/status, which is latched, when it changes.
-
-        Args:
-            time: Present time [ns].
-            status: State, cause and remedy.
-            since: When the state began [ns].
-            path_problem: Why the last path was rejected, empty if it was not.
-            values: Further values for /diagnostics.
-
         """
         learning_problem = self._learning_problem
         level = max(

@@ -16,10 +16,7 @@ class Watchdog:
     """A steady timer whose period is what is left until something may be wrong."""
 
     def __init__(self, node: Node, look: Callable[[], float]) -> None:
-        """Start; `look` returns the time until it must be called again, at the latest [s].
-
-        A ROS clock that goes back is looked at soon, too.
-        """
+        """Start; `look` returns the time to its next call [s], sooner if a ROS clock goes back."""
         self._node, self._look = node, look
         self._period = WATCH_PERIOD
         steady = Clock(clock_type=ClockType.STEADY_TIME)

@@ -26,18 +26,10 @@ from adp_path_follower.ros.runtime.qos import LATCHED
 
 
 class WeightsFiles:
-    """Reads `weights_file` at the start, and writes `save_weights_to` when it is asked to.
-
-    Attributes:
-        saved: The weights to start from, None without.
-
-    """
+    """Reads `weights_file` at the start, and writes `save_weights_to` when it is asked to."""
 
     def __init__(self, node: LifecycleNode, settings: Settings, driver: Callable[[], Driver]):
-        """Read the weights, and offer to save them; `driver` returns the one that learns.
-
-        Raises FileError if these settings cannot start from the file.
-        """
+        """Read the weights (FileError if they do not fit), and offer to save those of `driver`."""
         self._node, self._driver = node, driver
         self._is_writing = False
         self.saved: SavedWeights | None = None
@@ -78,10 +70,7 @@ class WeightsFiles:
         return response
 
     async def _saved(self) -> str:
-        """Save the weights in a thread, so that no disk delays a command; return a report.
-
-        Raises AdpError if there is nothing to save, or it cannot be written.
-        """
+        """Return a report of saving in a thread, so that no command waits; AdpError if it fails."""
         if self._is_writing:
             raise AdpError("weights are still being written: ask again when that is done")
         driver = self._driver()

@@ -1,5 +1,4 @@
 """The recorder node: its settings, choice of topics and provenance.
 
-May import `ros.runtime`, `bags` and `messages`.
-Never interprets what it records.
+May import `ros.runtime`, `bags` and `messages`. Never interprets what it records.
 """

@@ -67,10 +67,7 @@ class RecorderNode(Ending, Node):
         self.get_logger().info(f"recording to {self._bag.directory}")
 
     def lingers(self, elapsed: float) -> bool:
-        """Return whether messages are still coming in.
-
-        A launch file ends all nodes at once, so their last messages come after our signal.
-        """
+        """Return whether messages still come: nodes end together, so the last ones are late."""
         self._status_timer.cancel()
         quiet = steady.monotonic() - self._last_message
         return self._writer is not None and (

@@ -109,10 +109,7 @@ class TopicPatterns:
     namespace: str
 
     def match(self, topic: str) -> bool:
-        """Return whether a topic, by its full name, is meant.
-
-        An expression must match the whole name: the full one, or the one within the namespace.
-        """
+        """Return whether a topic is meant: all of its name, full or in the namespace, matches."""
         relative = topic.removeprefix(f"{self.namespace.rstrip('/')}/")
         return topic in self.names or any(
             expression.fullmatch(topic) or expression.fullmatch(relative)
@@ -125,8 +122,7 @@ def topic_patterns(
 ) -> TopicPatterns:
     """Return the patterns that a setting lists, for a node in a namespace.
 
-    `resolve` takes a name and returns the full name, after remapping. Raises SettingsError for a
-    text that is neither a name nor a regular expression.
+    `resolve` returns a name's full one, after remapping. Raises SettingsError for any other text.
     """
     names, expressions = set(), []
     for text in texts:

@@ -1,5 +1,4 @@
 """The ground of all nodes: executor, parameters, frames, logs, shutdown.
 
-May import `messages` and `core`.
-Never knows what a node is for.
+May import `messages` and `core`. Never knows what a node is for.
 """

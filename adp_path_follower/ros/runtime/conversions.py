@@ -33,10 +33,7 @@ class Measurement:
     child_frame: str  # frame of the robot
 
     def pose_at(self, time: int) -> FloatArray:
-        """Return the pose at a time [ns], moved on from the stamp at constant twist.
-
-        Stamps of another clock (ahead, or a second behind) leave the pose as it was measured.
-        """
+        """Return the pose at a time [ns] by constant twist; as measured for another clock."""
         age = self._age(time)
         if age == 0.0:
             return self.pose
@@ -79,7 +76,7 @@ def quaternion_of(yaw: float) -> Quaternion:
 
 
 def measurement_of(raw: bytes) -> Measurement:
-    """Return the content of a serialised odometry message.
+    """Return the content of serialised odometry.
 
     Raises MessageError if it is none, a value is not finite, or the quaternion has zero norm.
     """

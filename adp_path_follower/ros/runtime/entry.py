@@ -1,8 +1,4 @@
-"""Entry points of the executables.
-
-They take over the signals that end a node before rclpy is imported (half a second in which Python
-would answer with a traceback) and import the node only then.
-"""
+"""Entry points, which take over the signals before they import rclpy for half a second."""
 
 import functools
 import importlib

@@ -16,14 +16,10 @@ _NANOSECONDS = 1_000_000_000
 class DirectExecutor(SingleThreadedExecutor):
     """Spin one node, whose messages and timers cost half of what they do in rclpy's executor.
 
-    That one makes a task and a coroutine of each callback and triggers itself twice for it, so
-    that it looks at all that the node has twice for each message. Here one wait set serves until
-    the node has something else to wait for, and messages and timers are taken and answered at
-    once. All else (services, clients, guard conditions, events, tasks) is left to rclpy when it is
-    ready.
-
-    Callbacks of messages and timers are no coroutines, and no other thread destroys what the node
-    has.
+    That one makes a task and a coroutine of each callback and wakes itself twice for it. Here one
+    wait set serves until the node has something else to wait for, messages and timers are answered
+    at once, and all else is left to rclpy. Callbacks of messages and timers are no coroutines, and
+    no other thread destroys what the node has.
     """
 
     _is_stale = True  # whether the node may have other things to wait for by now
@@ -45,10 +41,7 @@ class DirectExecutor(SingleThreadedExecutor):
         super().wake()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait, at most so long [s], for something to do, and do it.
-
-        Raises ExternalShutdownException if the context was shut down.
-        """
+        """Wait for something to do, and do it; ExternalShutdownException after a shutdown."""
         self._require_context()
         if self._is_stale:
             self._is_stale = False

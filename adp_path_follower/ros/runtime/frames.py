@@ -35,10 +35,7 @@ class Tf2Transform:
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
     def planar(self, target: str, source: str) -> tuple[float, float, float]:
-        """Return x [m], y [m] and turn [rad] of a source frame in a target frame, the latest known.
-
-        Raises FrameError if tf2 does not connect the two.
-        """
+        """Return the latest x [m], y [m], turn [rad] of a source frame in a target frame."""
         try:
             found = self._buffer.lookup_transform(target, source, Time()).transform
         except self._failure as error:

@@ -27,11 +27,10 @@ Tree = TypeVar("Tree")
 
 
 def declare_settings(node: Node, tree: type[Tree]) -> Tree:
-    """Declare every setting of a tree as a parameter and return the settings.
+    """Declare every setting of a tree as a parameter; SettingsError for a wrong or unknown one.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides=True``, so
-    that unknown names in a parameter file are seen, and rejected. Raises SettingsError if a given
-    parameter is unknown, of the wrong type or out of range.
+    The node must have ``automatically_declare_parameters_from_overrides=True`` to see unknown
+    names.
     """
     given = own_values(list(node.get_parameters_by_prefix("").values()))
     settings = build(tree, given)
@@ -56,11 +55,7 @@ class LiveSettings(Generic[Tree]):
     def __init__(
         self, node: Node, settings: Tree, prepare: Callable[[Tree], Callable[[], None]]
     ) -> None:
-        """Take part in every change of the parameters of a node whose settings are declared.
-
-        `prepare` returns a function that takes over other settings at once; it raises AdpError
-        where there is no way.
-        """
+        """Take part in a node's changes; `prepare` returns what takes one over, else AdpError."""
         self._node, self._settings, self._prepare = node, settings, prepare
         self._fields = {field.name: field for field in setting_fields(type(settings))}
         self._prepared: tuple[Tree, Callable[[], None]] | None = None
@@ -69,11 +64,7 @@ class LiveSettings(Generic[Tree]):
         node.add_post_set_parameters_callback(self._take_over)
 
     def _typed(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Return the parameters with integers and texts as numbers where the setting is one.
-
-        So a dump of the node's parameters has the same types as its parameter file; and
-        `ros2 param load` of such a dump works, which sends .inf and 1.0e-06 as texts.
-        """
+        """Return parameters typed as their settings: `ros2 param load` sends 1.0e-06 as a text."""
         return [self._as_numbers(parameter) for parameter in parameters]
 
     def _as_numbers(self, parameter: Parameter) -> Parameter:

@@ -24,9 +24,8 @@ def repeat_until_delivered(
 ) -> None:
     """Publish a message again, not for long, until all subscribers have got it.
 
-    An undelivered message is lost when its node goes. Waiting alone may not do: Fast DDS by itself
-    asks only every 3 s what was lost. `publish` is called at least `least` times; 0 if the message
-    has been published.
+    An undelivered message is lost when its node goes, and Fast DDS asks only every 3 s. `publish`
+    is called at least `least` times; 0 if the message has been published.
     """
     for count in range(_MOST):
         if count >= least and publisher.wait_for_all_acked(Duration(seconds=_PATIENCE)):

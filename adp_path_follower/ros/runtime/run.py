@@ -32,11 +32,7 @@ class Ending:
 
 
 def run_node(name: str, make_node: Callable[[], Node]) -> int:
-    """Spin a node until it is asked to stop or is finished; return the exit code.
-
-    0 after a regular end, 1 after an error while running, 2 if the node rejected its settings.
-    Errors are logged as one sentence.
-    """
+    """Spin a node to its end; return 0, 1 after a logged error, 2 for rejected settings."""
     with unblocked_stderr():
         return _run(name, make_node)
 

@@ -29,11 +29,7 @@ def told_if_it_fails(transition: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def defend_services(node: Node) -> None:
-    """Reject what clients must not ask of the services that the node has now.
-
-    rclpy raises for transitions that there are not from the present state, and for values of a type
-    that it does not know.
-    """
+    """Reject impossible transitions and values of unknown types, at which rclpy would raise."""
     for service in node.services:
         service.callback = _defended(service.callback, service.srv_name, node)
 

@@ -11,10 +11,7 @@ _HANG_UP_IGNORED = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
 def ending_signals() -> tuple[signal.Signals, ...]:
-    """Return the signals that end a node in good order: all that would end it, but kill -9.
-
-    The loss of the terminal is not among them under nohup.
-    """
+    """Return the signals that end a node in good order: not kill -9, nor SIGHUP under nohup."""
     return tuple(
         number for number in _SIGNALS if number is not signal.SIGHUP or not _HANG_UP_IGNORED
     )
@@ -23,9 +20,8 @@ def ending_signals() -> tuple[signal.Signals, ...]:
 def watched_parent() -> int | None:
     """Return the process whose death ends the node, None if the node was started to outlive it.
 
-    That is what nohup (which ignores SIGHUP) and setsid (which makes a session) are for; systemd
-    makes a session, too. `ros2 launch` and `ros2 run` do neither, and leave their nodes alone when
-    they are killed.
+    nohup (ignores SIGHUP), setsid and systemd (make sessions) do so; `ros2 launch` leaves its
+    nodes.
     """
     detached = _HANG_UP_IGNORED or os.getsid(0) == os.getpid() or _PARENT <= 1
     return None if detached else _PARENT
@@ -34,9 +30,8 @@ def watched_parent() -> int | None:
 class StopRequest:
     """Remember signals, and notice the death of the parent.
 
-    rclpy's own handlers shut the context down at once, after which nothing can be published; the
-    robot must be told to stop first. The parent is asked for again and again, as the signal that
-    Linux offers (PR_SET_PDEATHSIG) comes when the thread ends that started the node.
+    rclpy's own handlers shut the context down at once, before the robot is told to stop. The parent
+    is polled: Linux's signal (PR_SET_PDEATHSIG) comes when the thread that started the node ends.
     """
 
     def __init__(self) -> None:

@@ -54,8 +54,7 @@ class Outcome:
     def quantile(self, share: float) -> float:
         """Return a quantile of J/J* over the starts with a known optimum; a failure is infinite.
 
-        Between two starts the worse one counts, but for the median, which is between both; NaN if
-        there is no start with an optimum.
+        The worse of two starts counts, but for the median; NaN without a start that has an optimum.
         """
         ratio = np.where(self.failed, math.inf, self.cost_ratio)
         known = ratio[~np.isnan(ratio)]

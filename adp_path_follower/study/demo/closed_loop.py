@@ -64,10 +64,7 @@ class NodeProcess:
         domain: int,
         arguments: tuple[str, ...] = (),
     ) -> None:
-        """Start "controller", "sim_unicycle", "path_publisher" or "recorder" in a ROS domain.
-
-        `log` gets the node's output; `arguments` follow after ``--ros-args`` and the parameters.
-        """
+        """Start a node in a ROS domain; `log` gets its output; `arguments` follow parameters."""
         self.name = executable
         self.log = log
         environment = {
@@ -132,19 +129,10 @@ def run_closed_loop(
 ) -> FilePath:
     """Run the four nodes in lock-step, or in real time where there are faults; return the bag.
 
-    Args:
-        settings: The controller's settings; lock-step changes some of them.
-        path: The path, for the robot's start.
-        path_name: Its name, for the publisher.
-        start: Initial error [s, y, theta] to the beginning of the path.
-        duration: Simulated time [s].
-        directory: Folder of the bag and of the nodes' logs.
-        report: Called while waiting (None) and after every step that was seen.
-        simulator: The robot, an ideal one by default; start and duration are those above.
-
-    Raises:
-        AdpError: A node ended early or the run does not go on; the message says which and why.
-
+    The robot, ideal by default, starts with an error [s, y, theta] to the beginning of the path,
+    and drives a simulated `duration` [s]; lock-step changes some settings. `path_name` is for the
+    publisher; `directory` gets the bag and the nodes' logs. `report` is called while waiting (None)
+    and after every step seen. Raises AdpError if a node ends early or the run does not go on.
     """
     logs = directory / "logs"
     logs.mkdir()

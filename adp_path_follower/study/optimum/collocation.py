@@ -156,11 +156,7 @@ class OptimumSolver:
         return sorted(solved, key=lambda pair: pair[1].cost)
 
     def _converged(self, coarse: Motion, best: Motion) -> tuple[Motion, tuple[float, ...], float]:
-        """Return the optimum on a mesh so fine that halving its intervals changes nothing.
-
-        Takes the motions on the two coarsest meshes. Returns the motion, its mesh, and the relative
-        change of J by the last halving.
-        """
+        """Return motion, mesh and relative change of J, once halving intervals changes nothing."""
         breaks = _halved(_graded(_INTERVALS // 2, self._horizon))
         change = _change(best, coarse)
         while change > _TOLERANCE:

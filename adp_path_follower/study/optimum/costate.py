@@ -1,9 +1,8 @@
 """The optimum by its necessary conditions: an independent check of the collocation.
 
-Pontryagin's principle gives a boundary value problem in the state and its costates, with the
-state given at the start and the costates zero at the end. It is written in the actual inputs
-[v, w], whose limits do not depend on the state, and takes the path's curvature from the path
-itself; nothing is shared with the transcription but the guess.
+Pontryagin's principle gives a boundary value problem in the state and its costates. It is written
+in the actual inputs [v, w], whose limits do not depend on the state, and takes the path's curvature
+from the path itself; nothing is shared with the transcription but the guess.
 """
 
 from dataclasses import dataclass
@@ -28,10 +27,7 @@ class Extremal:
 
 
 def solve_costates(problem: Problem, motion: Motion) -> Extremal:
-    """Return the extremal near a motion, such as the one found by collocation.
-
-    Raises OptimumError if the boundary value problem cannot be solved.
-    """
+    """Return the extremal near a motion, such as a collocation's; OptimumError if there is none."""
     start = motion.state[0]
     unknown = np.zeros((9, len(motion.time)))
     unknown[:4] = motion.state.T

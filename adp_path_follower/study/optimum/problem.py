@@ -87,11 +87,7 @@ class Problem:
         return casadi.Function("problem", [state, u], [rate, cost, u[1] + curvature * v_des])
 
     def guesses(self, start: FloatArray, time: FloatArray) -> list[Motion]:
-        """Return starting guesses: the Riccati policy's motion, a fast and a slow decay.
-
-        Where the robot faces backwards there are all three for each way to turn: theta and
-        theta -+ 2 pi are one heading, and the errors are to decay from either.
-        """
+        """Return Riccati's motion, a fast and a slow decay; facing backwards, for each turn."""
         v_des = self.settings.target.desired_speed
         arc_length = self.start_arc_length + v_des * time
         motions = []

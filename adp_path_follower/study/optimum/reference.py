@@ -63,10 +63,7 @@ def cost_over_horizon(
 def is_paper_problem(
     settings: Settings, path: Path, arc_length: float, first_error: FloatArray
 ) -> bool:
-    """Return whether the optimum that comes with the package is the one of this run.
-
-    The virtual target started at `arc_length` [m] with the error [s, y, theta].
-    """
+    """Return whether the packaged optimum is that of an error [s, y, theta] at `arc_length` [m]."""
     standard = build(Settings, {})
     same_problem = settings.target == standard.target and settings.cost == standard.cost
     place = np.array([arc_length, path.length])

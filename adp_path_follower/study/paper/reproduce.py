@@ -91,10 +91,7 @@ class Reproduction:
 def reproduce(
     progress: Callable[[float], None], long_duration: float = LONG_DURATION
 ) -> Reproduction:
-    """Run the paper's simulation with each grid, find the optimum, and evaluate the theorem.
-
-    `progress` takes the fraction done; `long_duration` [s] is for what the laws unlearn.
-    """
+    """Run the paper's simulation with each grid and for long [s], the optimum and the theorem."""
     printed = load_settings(Settings, "path_follower", config_file("paper.yaml"))
     path = lissajous()
     solver = OptimumSolver(printed, path, horizon=DURATION)
@@ -164,11 +161,7 @@ def _run(
 
 
 def _theorem(run: PaperRun, path: Path) -> Theorem:
-    """Evaluate the theorem's quantities along a run.
-
-    The value function and its gradient at a visited state are the cost and the costates of the
-    optimal motion that starts there.
-    """
+    """Evaluate the theorem along a run; the optimum from a state has the value and its gradient."""
     settings, found = run.settings, run.trajectories
     target, learning = settings.target, settings.learning
     steps = np.searchsorted(found.time, _VISITED - 1e-9)

@@ -29,36 +29,24 @@ NO_SETTINGS = (
 
 
 def recorded_settings(run: Run) -> Settings:
-    """Return the settings that the controller said last it runs with.
-
-    Raises FileError if the bag has none, SettingsError if they are of another version.
-    """
+    """Return the last recorded settings; FileError without, SettingsError of another version."""
     if not run.configurations:
         raise FileError(NO_SETTINGS)
     return parse_configuration(run.configuration).settings
 
 
 class RecordedDriver:
-    """Drives as the controller node did, from what it said about paths and parameters.
-
-    Attributes:
-        configurations: Number of a step, and what a controller that drives like this says before
-            it; of the first step, and of each that something changed before.
-
-    """
+    """Drives as the controller node did, from what it said about paths and parameters."""
 
     def __init__(
         self, run: Run, settings: Settings | None, overlay: Mapping[str, object] | None = None
     ) -> None:
-        """Take the paths and the changes of parameters, and `settings` and `overlay` as `replay`.
-
-        Raises FileError if the bag has no path or configuration, or lacks weights, and
-        SettingsError for settings of another version or an overlay that does not fit.
-        """
+        """Take paths, changes, `settings` and `overlay` as `replay`, whose errors it raises."""
         if not any(len(poses) for _, poses in run.paths):
             raise FileError("the bag has no path: name a topic of nav_msgs/msg/Path by --path")
         self._fixed, self._overlay = settings, overlay or {}
         self._routes = RecordedRoutes(run, settings, self._overlay)
+        # Number of a step, and what a controller that drives like this says before it.
         self.configurations: list[tuple[int, str]] = []
         self._transform: tuple[float, ...] = ()
         self._count, self._last = 0, NO_STEP
@@ -99,10 +87,7 @@ class RecordedDriver:
         return self._driver.at_goal
 
     def step(self, pose: FloatArray, stamp: int, motion: FloatArray) -> FollowerOutput:
-        """Return the output for a pose and a motion (3,) at a time [ns].
-
-        FileError if no robot can be there.
-        """
+        """Return the output for a pose and motion (3,) at a time [ns]; FileError if impossible."""
         changed = self._count == 0
         while self._next is not None and self._next.after_step < stamp:
             self._change(self._next)

@@ -15,11 +15,7 @@ from adp_path_follower.messages.raw import transformed
 
 
 class RecordedRoutes:
-    """Finds the route that a configuration names by its digest.
-
-    A route depends on a path, the settings that it was prepared with, and the transform of its
-    frame; all of them are in the bag.
-    """
+    """Finds the route of a digest by the paths, settings and transforms that are in the bag."""
 
     def __init__(
         self,

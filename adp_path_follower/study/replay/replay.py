@@ -77,18 +77,10 @@ def replay(
 ) -> Replay:
     """Replay a run with the steps, the paths and the changes of parameters that it had.
 
-    A run of this package's controller holds the pose of each step. With another controller, or an
-    older bag, each odometry message is a step.
-
-    Args:
-        run: The run.
-        settings: Settings to replay it with; by default, the recorded ones.
-        overlay: Setting -> value that replaces the recorded or given one all the time.
-
-    Raises:
-        FileError: The bag lacks odometry, path or configuration, or a pose is impossible.
-        SettingsError: The overlay does not fit.
-
+    A run of this package's controller holds the pose of each step; else each odometry message is a
+    step. `settings` are the recorded ones by default; `overlay` maps a setting to the value that
+    replaces them all the time. Raises FileError if the bag lacks odometry, path or configuration,
+    or a pose is impossible; SettingsError if the overlay does not fit.
     """
     steps = steps_of(run)
     if settings is None and "measured_pose" not in run.series:

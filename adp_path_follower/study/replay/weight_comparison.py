@@ -72,9 +72,8 @@ def _matched(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the step that each recorded set belongs to, and whether both are the same, (N,) each.
 
-    Weights carry no stamp. Where there are fewer than steps (`debug_rate`, or a recorder that came
-    late) each belongs to the next step that has the same; one without such a step to the last pose
-    that had arrived.
+    Weights carry no stamp: a set belongs to the next step with the same, else to the last pose
+    before.
     """
     values = recorded.values
     if len(values) == len(replayed):

@@ -46,14 +46,9 @@ def write_replay(
 ) -> None:
     """Write a bag with the replay's commands and learner topics beside the recorded odometry.
 
-    Args:
-        found: The replay.
-        source: The bag that was replayed.
-        topics: "odom", "path" and others to be copied -> their topics in `source`.
-        bag: The bag to make; FileError if it exists or cannot be made.
-        velocity: v, w of the robot of a closed loop at each step, shape (N, 2), whose odometry then
-            replaces the recorded one.
-
+    `topics` maps "odom", "path" and others to be copied to their topics in `source`; `velocity` is
+    v, w at each step (N, 2) of a closed loop, whose odometry then replaces the recorded one. Raises
+    FileError if `bag` exists or cannot be made.
     """
     copied = [topics[key] for key in _COPIED if key in topics]
     if velocity is not None:

@@ -119,31 +119,20 @@ def simulate(
 ) -> SimulationResult:
     """Simulate the closed loop from one or many starts; the outcome is in their order.
 
-    Each run is as it would be alone, with a learner of its own. Many runs are simulated in blocks,
-    whose size bounds the memory: beyond it only the outcome grows with the starts.
+    Each run is as it would be alone, with a learner of its own. Starts are errors [s, y, theta],
+    shape (3,) or (B, 3), to the virtual target at `start_arc_length` [m]; runs last `duration` [s],
+    with `rate` control steps per second [Hz], between which commands are held.
 
-    Args:
-        settings: The controller's settings.
-        path: The path to follow.
-        starts: Initial errors [s, y, theta] to the virtual target, shape (3,) or (B, 3).
-        start_arc_length: Where the virtual target starts [m].
-        duration: Simulated time [s].
-        rate: Control steps per second [Hz]; commands are held between them.
-        learning: "cold" starts with the weights of the settings, "warm" first learns at the start
-            until the weights settle, "frozen" never changes the weights.
-        plant: Imperfections of the robot; an ideal one by default. Run number n of the starts has
-            the seed of the plant plus n, whatever the controller and its rate.
-        faults: How the imperfections change with time; entries about messages have no effect.
-        controller: Makes the controller; `learning` matters to `PathFollower` only.
-        record: Keep trajectories, which takes 16 bytes for each weight of each step of each run.
-        observe: Called at every control step, with which of the starts it is about.
-        progress: Called now and then with the fraction that is done.
-        at_once: Runs of a block, by default as many as are fast and fit into 128 MB. The outcome
-            is the same with any number.
+    `learning`, of `PathFollower` only, is "cold" with the weights of the settings, "warm" if it
+    first learns at the start until they settle, or "frozen". The robot is ideal by default; run
+    number n has the seed of `plant` plus n, and entries of `faults` about messages have no effect.
+    `record` keeps trajectories: 16 bytes for each weight of each step of each run. `observe` is
+    called at every control step, with which of the starts it is about, `progress` with the fraction
+    that is done.
 
-    Raises:
-        AdpError: A start, a duration or a rate that is not finite and positive.
-
+    Blocks of `at_once` runs, by default as many as fit into 128 MB, bound the memory; the outcome
+    is the same with any number. Raises AdpError for a start, duration or rate that is not finite,
+    or not positive.
     """
     errors = _checked_starts(starts)
     _check(start_arc_length, duration, rate, learning, at_once)
@@ -244,10 +233,7 @@ class _ClosedLoop:
         note: Callable[[int, ControlOutput, FloatArray], None],
         report: Callable[[float], None],
     ) -> SimulationResult:
-        """Return the outcome after a number of control periods [s].
-
-        `note` gets each step's number, output and true poses; `report` the fraction that is done.
-        """
+        """Return the outcome after control periods; `note` gets number, output and poses."""
         count = len(self._starts)
         last_outside = np.full(count, -1)
         max_inputs = np.zeros((count, 2))
@@ -331,11 +317,7 @@ def _joined(blocks: list[SimulationResult], trajectories: Trajectories | None) -
 
 
 def without_nodes(settings: SimulatorSettings) -> tuple[PlantSettings, FaultScript]:
-    """Return the parts of the simulator's settings that a simulation without ROS uses.
-
-    Raises FileError if the fault script cannot be read, and SettingsError for anything that only
-    the simulator node can do.
-    """
+    """Return the plant and the faults; FileError or SettingsError for what only nodes can do."""
     script = read_fault_script(settings.simulation.fault_script)
     message_fault = script.changes_messages()
     if message_fault:

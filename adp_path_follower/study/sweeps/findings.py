@@ -109,11 +109,7 @@ def findings_text(found: Findings) -> str:
 
 
 def write_findings(found: Findings, title: str, directory: FilePath) -> list[FilePath]:
-    """Write the best settings and those of the front as parameter files; return the first.
-
-    Removes files of a larger front before. Raises AdpError if a file cannot be written, or reads
-    back as other settings.
-    """
+    """Write best settings and front anew as parameter files; return the first, or AdpError."""
     if found.best is None:
         return []
     files = [_write(found, found.best, title, directory / "best.yaml")]

@@ -111,10 +111,7 @@ def sweep_figures(found: Overview) -> dict[str, Any]:
 
 
 def _measure(found: Overview) -> tuple[str, FloatArray, str]:
-    """Return what the maps show: name, values (C,), NaN for none, and a caption.
-
-    It is the first objective, or the share of unstable runs where no combination is stable.
-    """
+    """Return the maps' name, values (C,) and caption: the first objective, else unstable runs."""
     name = found.sweep.objectives[0]
     if not len(found.ranked):
         return (

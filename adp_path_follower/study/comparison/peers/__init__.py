@@ -1,5 +1,4 @@
 """Published controllers behind the interface of this one.
 
-May import `core`.
-Never knows this project's controller.
+May import `core`. Never knows this project's controller.
 """

@@ -1,7 +1,4 @@
-"""Nonlinear model predictive control: the strongest peer.
-
-Needs the extra `optimum` (CasADi).
-"""
+"""Nonlinear model predictive control, the strongest peer; needs the extra `optimum` (CasADi)."""
 
 from __future__ import annotations
 
@@ -113,10 +110,6 @@ class HorizonSolver:
     The decision variables are [s, y, theta, s_p] and the command [v, w], so that limits are plain
     bounds; the curvature in each step is a parabola in s_p, about where the plan that it starts
     from has the virtual target in that step.
-
-    Attributes:
-        name: Options of the fast solver.
-
     """
 
     def __init__(self, fast: Any, careful: Any, name: str, limits: LimitSettings) -> None:
@@ -243,11 +236,6 @@ class Nmpc(PeerController):
     Each step starts from the last plan, shifted. Where the robot is not where it was planned to be,
     or the solver fails, a slower one starts from a plain guess; where that fails, too, the shifted
     plan stands.
-
-    Attributes:
-        failures: Number of steps, over all robots, at which no new plan was found.
-        solver: Name and way of the fast solver, such as "sqpmethod, compiled".
-
     """
 
     def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
@@ -255,8 +243,8 @@ class Nmpc(PeerController):
         super().__init__(settings, path, arc_length)
         self._schedule = RiccatiSchedule(path, settings.target, settings.cost)
         self._solver = horizon_solver(settings.target, settings.cost, settings.limits)
-        self.solver = self._solver.name
-        self.failures = 0
+        self.solver = self._solver.name  # such as "sqpmethod, compiled"
+        self.failures = 0  # steps of any robot at which no new plan was found
         self._plans: list[Plan | None] = []
 
     def command(

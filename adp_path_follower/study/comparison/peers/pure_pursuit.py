@@ -31,10 +31,7 @@ def pursuit_curvature(carrot: FloatArray) -> FloatArray:
 
 
 class PurePursuit(PeerController):
-    """Pure pursuit (Coulter, CMU-RI-TR-92-01, 1992): steer along the arc to a point ahead.
-
-    The law holds the speed and has one number, the look-ahead distance.
-    """
+    """Pure pursuit (Coulter, CMU-RI-TR-92-01, 1992): steer along the arc to a point ahead."""
 
     lookahead = 1.0  # [m], as in MATLAB's controllerPurePursuit
 

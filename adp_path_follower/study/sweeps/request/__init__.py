@@ -1,5 +1,4 @@
 """The request of a sweep or a tuning: file format, ranges, conditions.
 
-May import `core`, `study.simulation` and rooms below.
-Never runs anything.
+May import `core`, `study.simulation` and rooms below. Never runs anything.
 """

@@ -141,10 +141,7 @@ class Conditions:
 def read_conditions(
     entries: Mapping[str, object], folder: FilePath, run: RunSettings
 ) -> Conditions:
-    """Return the conditions of a request, whose files are named from a folder.
-
-    Raises AdpError if an entry is wrong; the message names it.
-    """
+    """Return a request's conditions, with files in a folder; AdpError names a wrong entry."""
     starts = _starts(entries.get("starts", [list(PAPER_START)]), folder)
     robots = _robots(section(entries, "robots"))
     return Conditions(
@@ -249,10 +246,7 @@ def _noise_seeds(given: object, robots: tuple[Robot, ...], starts: int) -> tuple
 
 
 def optimal_costs(conditions: Conditions, settings: Settings, source: PathSource) -> FloatArray:
-    """Return J* of each start, of the ideal robot, shape (B,); NaN where it is not known.
-
-    The cost that counts is that of `conditions`; speed, target and limits are those of `settings`.
-    """
+    """Return J* of each start, of the ideal robot, by the conditions' cost (B,); NaN if unknown."""
     unknown = np.full(len(conditions.starts), math.nan)
     name = _same_name(source.name)
     known = (

@@ -40,11 +40,7 @@ def section(entries: Mapping[str, object], name: str) -> Entries:
 
 
 def build_entries(tree: type[Tree], entries: Mapping[str, object], others: Sequence[str]) -> Tree:
-    """Return the settings tree of a file's entries; a single text stands for a list of one.
-
-    `others` are entries that are read elsewhere. Raises SettingsError if an entry is unknown, has a
-    wrong type, or is out of range.
-    """
+    """Return the settings tree of a file's entries but `others`; SettingsError if one is wrong."""
     fields = {field.name: field for field in setting_fields(tree)}
     values: Entries = {}
     for name, value in entries.items():

@@ -60,10 +60,7 @@ class _TuneEntries:
 
 
 def read_sweep(file: FilePath) -> Sweep:
-    """Return the sweep of a file, with every combination of settings checked.
-
-    Raises AdpError if an entry is wrong; the message names file, entry and remedy.
-    """
+    """Return a file's sweep, every combination checked; AdpError names file, entry and remedy."""
     entries = read_entries(file)
     with errors_in(f"file {file}"):
         asked = build_entries(_SweepEntries, entries, _OTHER_ENTRIES)

@@ -111,10 +111,7 @@ def _number(value: float) -> float:
 
 
 def pareto_front(points: np.ndarray) -> np.ndarray:
-    """Return which points (N, 2) no other is below in both numbers: a mask, shape (N,).
-
-    Points that are not finite are never on the front.
-    """
+    """Return which finite points (N, 2) no other is below in both numbers: a mask, shape (N,)."""
     front = np.zeros(len(points), dtype=bool)
     least = math.inf
     order = np.lexsort((points[:, 1], points[:, 0]))

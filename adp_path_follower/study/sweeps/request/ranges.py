@@ -99,9 +99,8 @@ def read_variations(
 
 
 def own_range(field: SettingField, value: Value) -> list[Variation]:
-    """Return a setting's own range: a tenth to ten times its value, within its limits.
+    """Return a setting's choices, or a tenth to ten times its value within limits, all for 0.
 
-    A setting with choices is tried with all of them. A value of 0 gets the whole allowed range.
     Raises SettingsError if that is infinite, or if the setting is a text.
     """
     if field.kind is bool:

@@ -56,10 +56,7 @@ class Workers:
         return self._client.submit(function, piece, pure=False, retries=_RETRIES)
 
     def result(self, future: Any) -> Any:
-        """Wait for a piece of work and return its result.
-
-        Raises AdpError if it failed, if it ended worker after worker, or if the scheduler is gone.
-        """
+        """Wait for the result; AdpError if the work failed or the scheduler is gone."""
         self._check_interrupts()
         try:
             return future.result()
@@ -80,10 +77,7 @@ class Workers:
     def results(
         self, function: Callable[[Work], Any], work: Iterable[Work]
     ) -> Iterator[tuple[Work, Any]]:
-        """Return each piece of work with its result, in order; raises as `result` does.
-
-        Only a few pieces are under way at any time, however many there are.
-        """
+        """Return work with its results, in order, a few pieces at a time; raises as `result`."""
         under_way: deque[tuple[Work, Any]] = deque()
         for piece in work:
             under_way.append((piece, self.begin(function, piece)))
@@ -96,10 +90,9 @@ class Workers:
 
 @contextlib.contextmanager
 def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
-    """Yield the workers of a scheduler, as in "tcp://host:8786", or processes on this machine.
+    """Yield a scheduler's workers, as in "tcp://host:8786", or `count` processes (one a core) here.
 
-    These are `count`, or one on each core. Raises AdpError if the scheduler does not answer, has no
-    workers, or they lack this version.
+    Raises AdpError if the scheduler does not answer, has no workers, or they lack this version.
     """
     _silence()
     connected = _local(count) if address is None else _connected(address)
@@ -188,10 +181,8 @@ def _check_versions(client: Client, address: str) -> None:
 def noted_interrupts() -> Iterator[Callable[[], None]]:
     """Note SIGINT while it raises `KeyboardInterrupt`; yield what raises it again if there was one.
 
-    Python ignores an exception raised in a destructor or in a callback of the garbage collector,
-    and Dask has both: without the note the work would go on after an interrupt there. Python's
-    warning about it is left out, for the interrupt is answered. Only the main thread is ever
-    interrupted.
+    Python ignores an exception in a destructor or a callback of the garbage collector, and Dask has
+    both: without the note the work would go on. Only the main thread is ever interrupted.
     """
     received = False
 

@@ -111,7 +111,10 @@ class PartsFolder(OutputFolder):
     """The folder of a sweep; each part in it is complete."""
 
     def __init__(self, directory: FilePath, plan: Plan) -> None:
-        """Open the folder of a sweep, or make it; raises as `OutputFolder` does."""
+        """Open or make a folder with a note KIND.json, "sweep" or "tune", of the `description`.
+
+        Raises FileError if it cannot be written, holds other work, or another command writes there.
+        """
         super().__init__(directory, "sweep", plan.sweep.description())
         self.plan = plan
         self._digest = plan.sweep.digest.encode()
@@ -132,10 +135,7 @@ class PartsFolder(OutputFolder):
         return [part for part in range(self.plan.parts) if not self._is_there(part)]
 
     def run(self, missing: list[int], workers: Workers, progress: Callable[[float], None]) -> None:
-        """Run missing parts and write each one; `progress` takes the fraction done.
-
-        Raises AdpError if folder or workers fail; finished parts stay.
-        """
+        """Run missing parts; `progress` takes the fraction done; an AdpError keeps others."""
         parts = (self.plan.part(number) for number in missing)
         for done, (part, columns) in enumerate(workers.results(work_off, parts), start=1):
             self.add(part.number, columns)

@@ -134,10 +134,7 @@ class Estimate:
 
 
 def estimate(sweep: Sweep, address: str | None, count: int | None) -> Estimate:
-    """Return the computing time of a sweep, measured with a few of its batches on this machine.
-
-    Raises AdpError if the scheduler cannot be reached.
-    """
+    """Return a sweep's computing time by a few batches here; AdpError without the scheduler."""
     plan = Plan(sweep)
     numbers = np.unique(np.linspace(0, plan.parts - 1, _TIMED_PARTS).astype(int))
     batches = [plan.part(int(number)).batches[0] for number in numbers]
