@@ -212,7 +212,6 @@ class SimulatorNode(Ending, Node):
         self._publish(settings)
 
     def _publish(self, settings: SimulatorSettings) -> None:
-        """Publish clock, ground truth, and the odometry that has arrived."""
         self._sent_at = steady.monotonic()
         runs = self._answered or not settings.simulation.lockstep
         faults, robot = settings.message_faults, self._robot

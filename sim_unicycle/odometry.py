@@ -53,27 +53,19 @@ class _Stream:
 
 
 class Odometry:
-    """Measures one robot, or a batch of them along the leading axes of the pose, once a step.
-
-    Attributes:
-        reading: The last reading that arrived; in a run whose message was lost, the one before.
-        arrived: The readings that arrived with the last step, without those that were lost by all.
-
-    """
+    """Measures one robot, or a batch of them along the leading axes of the pose, once a step."""
 
     def __init__(self, pose: FloatArray, twist: FloatArray, plant: PlantSettings, run: int) -> None:
-        """Measure a robot that stands at its start; the first reading arrives at once.
-
-        Takes its pose (..., 3), its wheels' velocities (..., 2), its imperfections, whose seed is
-        fixed from here on, and the number of the first run of the batch.
-        """
+        """Measure pose (..., 3) and wheels (..., 2) at rest; the first reading arrives at once."""
         self._shape = pose.shape[:-1]
-        self._seed = plant.seed + run
+        self._seed = plant.seed + run  # fixed from here on
         self._streams: dict[int, _Stream] = {}
         self._offset = np.zeros(pose.shape)
         self._due: deque[tuple[float, Reading, Losses | None]] = deque()
-        self.reading = self._measured(0.0, pose, twist, plant)
-        self.arrived: tuple[Reading, ...] = (self.reading,)
+        self.reading = self._measured(0.0, pose, twist, plant)  # the last that has arrived
+        self.arrived: tuple[Reading, ...] = (
+            self.reading,
+        )  # with the last step, but those lost by all
 
     def step(
         self, time: float, pose: FloatArray, twist: FloatArray, dt: float, plant: PlantSettings

@@ -17,19 +17,13 @@ class Unicycle:
 
     A command passes through delay, limits of velocity, lag and limits of acceleration to the
     wheels, and through slip, friction and a push to the ground. It is measured after every step.
-
-    Attributes:
-        pose: True x [m], y [m], theta [rad], shape (..., 3).
-        twist: True v [m/s] and w [rad/s] over the last step, shape (..., 2).
-        plant: Imperfections; may be exchanged between two steps, but for the seed.
-
     """
 
     def __init__(self, pose: FloatArray, plant: PlantSettings, run: int = 0) -> None:
         """Start at rest at a pose, shape (..., 3); of a batch, `run` is the first one's number."""
-        self.pose = np.array(pose, dtype=float)
-        self.twist = np.zeros((*self.pose.shape[:-1], 2))
-        self.plant = plant
+        self.pose = np.array(pose, dtype=float)  # true
+        self.twist = np.zeros((*self.pose.shape[:-1], 2))  # true, over the last step
+        self.plant = plant  # may be exchanged between two steps, but for the seed
         self._velocity = self.twist  # of the wheels
         self._time = 0.0
         self._pending: deque[tuple[float, FloatArray]] = deque()
@@ -128,10 +122,7 @@ def on_the_ground(wheels: FloatArray, plant: PlantSettings) -> FloatArray:
 
 
 def moved_pose(pose: FloatArray, twist: FloatArray, lateral: float, dt: float) -> FloatArray:
-    """Return poses [x, y, theta] after a constant twist [v, w] for dt [s], shape (..., 3).
-
-    `lateral` is the velocity to the left [m/s].
-    """
+    """Return poses (..., 3) after [v, w], and a velocity to the left [m/s], held for dt [s]."""
     moved = advance_pose(pose, twist[..., 0], twist[..., 1], dt)
     if lateral == 0.0:
         return moved

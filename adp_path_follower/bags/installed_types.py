@@ -32,10 +32,7 @@ class TypeText:
 
 @functools.lru_cache(maxsize=1024)
 def type_text(type_name: str) -> TypeText:
-    """Return definition and hash of a message type.
-
-    Raises UnknownTypeError if no installed package defines it, and ROS 2 Jazzy does not know it.
-    """
+    """Return definition and hash of a type; UnknownTypeError if it is defined nowhere."""
     try:
         return _installed(type_name)
     except Exception as error:  # rosbags' parser has no common error

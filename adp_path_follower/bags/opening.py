@@ -16,10 +16,7 @@ _FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")
 
 @contextlib.contextmanager
 def opened_bag(bag: FilePath) -> Iterator[tuple[Reader, list[str]]]:
-    """Yield a reader of a bag, and notes about it; FileError if it is no bag or cannot be read.
-
-    The bag is a rosbag2 directory, one of its files, or a directory with one bag in it.
-    """
+    """Yield a reader of a bag, a file of one, or a directory with one, and notes; or FileError."""
     found = _bag_in(bag)
     notes = [] if found == bag else [f"the bag in {bag} is {found.name}: it was read"]
     try:

@@ -71,19 +71,12 @@ def read_run(
     names: Mapping[str, str] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
-    """Return the run that a bag holds.
+    """Return the run that a bag holds: a rosbag2 directory, or one .mcap or .db3 file.
 
-    Args:
-        bag: A rosbag2 directory, or one .mcap or .db3 file.
-        names: "odom", "cmd_vel" or "path" -> the topic to take for it instead of the one that has
-            this name in some namespace.
-        progress: Called with the fraction done.
-
-    Raises:
-        FileError: The bag is missing or cannot be read, a topic that was asked for is not in it
-            or has another type, it is not clear which topic is meant, or no message of the
-            odometry or of the path can be decoded.
-
+    `names` maps "odom", "cmd_vel" or "path" to the topic to take for it; `progress` gets the
+    fraction done. Raises FileError if the bag cannot be read, a topic is missing or has another
+    type, it is not clear which one is meant, or no message of the odometry or of the path can be
+    decoded.
     """
     with opened_bag(bag) as (reader, notes):
         choice = chosen_topics(bag, reader.connections, names or {})
@@ -138,12 +131,7 @@ class _Collector:
             handler(time, raw)
 
     def run(self) -> Run:
-        """Return what was collected.
-
-        Raises:
-            FileError: Not one message of the odometry or of the path can be decoded.
-
-        """
+        """Return what was collected; FileError if no odometry, or no path, can be decoded."""
         series = {}
         for key, columns in self._columns.items():
             found, self._undecodable[key], other_width = columns.series()
@@ -168,7 +156,6 @@ class _Collector:
         )
 
     def _note_left_out(self, key: str, count: int, reason: str) -> None:
-        """Note how many messages of a topic were passed over, and why."""
         topic = self._topics[key]
         total = self._counts[topic]
         if count == total and key in _NEEDED:

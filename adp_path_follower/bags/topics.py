@@ -64,7 +64,6 @@ class _Bag:
         return max(kinds, key=lambda kind: kinds[kind], default="")
 
     def of_type(self, allowed: Sequence[str]) -> list[str]:
-        """Return the topics that have messages of a type."""
         return sorted(topic for topic in self.counts if self.kind(topic, allowed))
 
     def named(self, key: str, name: str) -> str:

@@ -45,18 +45,10 @@ class Transforms:
     def moved(
         self, poses: FloatArray, source: str, target: str, times: np.ndarray, by_arrival: bool
     ) -> tuple[FloatArray, float] | None:
-        """Return poses in another frame, and for which share of them a transform was near in time.
+        """Return poses (N, 3) in another frame, and for which share a transform was near in time.
 
-        Args:
-            poses: x, y, theta in the source frame, shape (N, 3).
-            source: Their frame.
-            target: The frame that they are wanted in.
-            times: Time of each pose [ns], shape (N,).
-            by_arrival: Whether these are arrivals, else stamps.
-
-        Returns:
-            None where the bag has no way from one frame to the other.
-
+        `times` [ns] (N,) are arrivals or stamps. Returns None where the bag has no way to the
+        frame.
         """
         up, down = self._above(source), self._above(target)
         shared = next((frame for frame in up if frame in down), None)

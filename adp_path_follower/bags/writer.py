@@ -15,11 +15,7 @@ from typing import Any
 
 import yaml
 
-from adp_path_follower.bags.bag_file import (
-    RECORD_OVERHEAD,
-    BagFile,
-    TopicDefinition,
-)
+from adp_path_follower.bags.bag_file import RECORD_OVERHEAD, BagFile, TopicDefinition
 from adp_path_follower.bags.installed_types import UnknownTypeError, type_text
 from adp_path_follower.core.errors import FileError
 
@@ -66,20 +62,12 @@ class BagWriter:
     ) -> None:
         """Create the bag's directory, which must not exist yet, and its first file.
 
-        Args:
-            directory: The bag.
-            custom_data: Entries of metadata.yaml beside the usual ones.
-            chunked: Gather messages in chunks, with an index and checksums; those in the chunk that
-                is open are lost if the process is killed.
-            compression: "none", or "zstd" for packed chunks.
-            limits: When to go on in another file; by default never.
-            background: Write in a thread, and keep some disk space for the end: for bags that
-                cannot be made again.
-            information: Entries of metadata.yaml that replace the usual ones.
-
-        Raises:
-            FileError: The directory exists, or cannot be made.
-
+        `custom_data` has entries of metadata.yaml beside the usual ones, `information` replaces
+        these. `chunked` gathers messages, with an index and checksums, and loses those of the open
+        chunk if the process is killed; "zstd" packs chunks. `limits` say when to go on in another
+        file, by default never. `background` writes in a thread and keeps some disk space for the
+        end, for bags that cannot be made again. Raises FileError if the directory exists, or cannot
+        be made.
         """
         try:
             directory.mkdir(parents=True)
@@ -121,10 +109,7 @@ class BagWriter:
     def add_topic(
         self, name: str, type_name: str, qos_profiles: Sequence[dict[str, Any]] = ()
     ) -> int:
-        """Add a topic and return the number to write its messages with.
-
-        Raises UnknownTypeError if the type's definition is not known, FileError for too many.
-        """
+        """Add a topic, return its number; UnknownTypeError without type, FileError for too many."""
         text = type_text(type_name)
         profiles = [dict(profile) for profile in qos_profiles]
         number = self.copy_topic(
@@ -142,10 +127,7 @@ class BagWriter:
         return number
 
     def copy_topic(self, topic: TopicDefinition) -> int:
-        """Add a topic as it is defined elsewhere; FileError if the format cannot number more.
-
-        The file metadata.yaml shows it after `close`.
-        """
+        """Add a topic defined elsewhere, in metadata.yaml after `close`; FileError for too many."""
         if len(self._topics) >= _MOST_TOPICS:
             raise FileError(f"bag {self.directory} cannot hold more than {_MOST_TOPICS} topics")
         number = self._files[-1].add_topic(topic)
@@ -167,10 +149,7 @@ class BagWriter:
         self._topics[topic].message_count += 1
 
     def flush(self) -> None:
-        """Hand everything to the operating system: it then outlives this process.
-
-        After an OSError, which means that something could not be written, `close` must follow.
-        """
+        """Hand everything to the operating system; after an OSError, `close` must follow."""
         for file in tuple(self._unsettled):
             file.check()
             if file.is_settled:
@@ -198,7 +177,6 @@ class BagWriter:
         self._write_metadata()
 
     def _is_full(self, log_time: int, length: int) -> bool:
-        """Return whether a message must go to another file."""
         file, limits = self._files[-1], self._limits
         if file.first_time is None:
             return False
@@ -243,11 +221,7 @@ def bag_information(
     topics: Sequence[tuple[TopicDefinition, int]],
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Return the content of a bag's metadata.yaml.
-
-    The files are in the order they were written, the topics come with their numbers of messages,
-    and `custom_data` has entries beside the usual ones.
-    """
+    """Return the content of metadata.yaml, with files in order and topics' numbers of messages."""
     return {
         "version": _VERSION,
         "storage_identifier": "mcap",
@@ -306,5 +280,4 @@ class _PlainDumper(_FASTEST_DUMPER):
     """YAML without anchors and aliases."""
 
     def ignore_aliases(self, data: object) -> bool:
-        """Return True: write everything out."""
         return True

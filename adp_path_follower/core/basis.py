@@ -49,8 +49,8 @@ class HalfTurn:
 class Expansion:
     """sigma at states, and sigma' before the chain rule of the frame.
 
-    At the robot only products of sigma' with weights and with rates are needed. Contracting
-    before the chain rule is applied to three or four numbers, not to L rows of them.
+    At the robot only products of sigma' with weights and with rates are needed. Contracting before
+    the chain rule is applied to three or four numbers, not to L rows of them.
     """
 
     value: FloatArray  # sigma, shape (..., L)
@@ -121,10 +121,7 @@ class QuadraticBasis:
     def __init__(
         self, products: tuple[tuple[int, int], ...], singles: tuple[int, ...] = ()
     ) -> None:
-        """Prepare the constant arrays: sigma' is an affine map of zeta.
-
-        `products` has a pair (i, j) for each term zeta_i zeta_j, `singles` an i for each zeta_i.
-        """
+        """Take a pair (i, j) for each term zeta_i zeta_j, and an i for each single zeta_i."""
         self._products, self._singles = products, singles
         size, count = len(products) + len(singles), len(STATE_LABELS)
         self._slope = np.zeros((size, count, count))
@@ -334,12 +331,8 @@ FRAMES = ("serret_frenet", "half_angle")
 def make_basis(name: str, degree: int, frame: str) -> Basis:
     """Return a basis by its name in `BASES` or `OWN_BASES`, in a frame of `FRAMES`.
 
-    Args:
-        name: "paper" is the paper's with its last three terms as squares (erratum 1 of
-            `adp docs method`), "paper_misprinted" the printed one, which leaves the path.
-        degree: Highest degree of "polynomial".
-        frame: The coordinates of the position error.
-
+    "paper" has the last three terms as squares (erratum 1 of `adp docs method`);
+    "paper_misprinted", as printed, leaves the path. `degree` is the highest one of "polynomial".
     """
     basis: Basis
     own = None if name in BASES else OWN_BASES.find(name)

@@ -25,11 +25,7 @@ def components(*parts: FloatArray) -> FloatArray:
 
 
 def unpacked(array: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the components along the last axis of an array, each of shape (...).
-
-    The numbers of a single vector are numpy's scalars, which are several times faster to compute
-    with than the arrays without dimensions that indexing by an ellipsis gives.
-    """
+    """Return components along the last axis, each (...); of one vector numpy's fast scalars."""
     return tuple(array[..., index][()] for index in range(array.shape[-1]))
 
 
@@ -77,14 +73,8 @@ def _of_one_or_many(
 
 
 cos = _of_one_or_many(math.cos, np.cos)
-
-
 sin = _of_one_or_many(math.sin, np.sin)
-
-
 tanh = _of_one_or_many(math.tanh, np.tanh)
-
-
 # sin(x) / x: smooth through 0; numpy's is sin(pi x) / (pi x).
 sinc = _of_one_or_many(
     lambda x: math.sin(x) / x if x else 1.0, lambda x: np.sinc(np.asarray(x) / math.pi)
@@ -132,10 +122,7 @@ def advance_pose(pose: FloatArray, linear: Number, angular: Number, dt: float) -
 
 
 def pose_in_frame(error: FloatArray, frame_pose: FloatArray) -> FloatArray:
-    """Return the world pose of a vehicle with error [s, y, theta] in a frame, shape (..., 3).
-
-    The inverse of `tracking_error`.
-    """
+    """Return the world pose (..., 3) of error [s, y, theta]; the inverse of `tracking_error`."""
     heading = frame_pose[..., 2]
     cos, sin = np.cos(heading), np.sin(heading)
     along, across = error[..., 0], error[..., 1]

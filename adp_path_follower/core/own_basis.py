@@ -80,15 +80,12 @@ class _OwnBasis:
         self._quadratic = _quadratic_part(name, basis)
 
     def value(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma at states of shape (..., 4), shape (..., L)."""
         return np.asarray(self._basis.value(zeta[..., :3]), float)
 
     def gradient(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
         return self.expansion(zeta).gradient
 
     def expansion(self, zeta: FloatArray) -> Expansion:
-        """Return sigma and the parts of sigma' at states of shape (..., 4)."""
         slopes = np.asarray(self._basis.gradient(zeta[..., :3]), float)
         return Expansion(self.value(zeta), np.ascontiguousarray(np.swapaxes(slopes, -1, -2)))
 

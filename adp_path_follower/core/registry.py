@@ -66,7 +66,6 @@ def load_plugins() -> None:
 
 
 def _import(plugin: str) -> None:
-    """Import a plugin: a module, or a .py file."""
     if not plugin.endswith(".py"):
         importlib.import_module(plugin)
         return

@@ -54,12 +54,7 @@ class _Layout:
 
 
 class MessageDecoder:
-    """Reads some fields of the messages of one type.
-
-    Attributes:
-        broken: Number of messages that were not of the definition, and are left out.
-
-    """
+    """Reads some fields of the messages of one type."""
 
     def __init__(
         self,
@@ -75,7 +70,7 @@ class MessageDecoder:
         """
         self._definitions, self._type_name = definitions, type_name
         self._names, self._stamped = tuple(names), stamped
-        self.broken = 0
+        self.broken = 0  # messages that were not of the definition
 
     def decode(self, messages: Sequence[bytes]) -> list[tuple[np.ndarray, np.ndarray, FloatArray]]:
         """Return the numbers of messages, in blocks of equal layout.
@@ -160,7 +155,6 @@ class _Walk:
         self._at = _HEADER
 
     def message(self, type_name: str, prefix: str) -> None:
-        """Walk over a message whose fields are named from a prefix on."""
         if type_name not in self._definitions:
             raise CdrError(f"unknown type {type_name}")
         for name, description in self._definitions[type_name][1]:

@@ -1,12 +1,9 @@
 """Read nav_msgs/Path and nav_msgs/Odometry out of their serialised bytes, and write what is sent.
 
-A path of a hundred thousand poses takes milliseconds: poses whose frame names are equally long lie
-at even distances, and are read in one step; others, which are rare, one after the other. Node and
-replay both read paths by this module, so that they follow the same path to the last bit.
-
-Odometry comes with every control step, and only the few numbers that count are read: rclpy takes
-ten times as long to make a message with two unused covariances. Every control step sends a header
-and a few numbers, and their bytes are written in a tenth of the time.
+Node and replay both read paths by this module, so that they follow the same path to the last bit. A
+path of a hundred thousand poses takes milliseconds: where frame names are equally long, poses lie
+at even distances and are read in one step. Odometry and what is sent, in every control step, are
+read and written as the few numbers that count, in a tenth of rclpy's time.
 """
 
 import struct
@@ -85,10 +82,7 @@ def read_odometry(raw: bytes) -> OdometryNumbers:
 def stamped_numbers(
     time: int, frame: str, numbers: Iterable[float], child_frame: str | None = None
 ) -> bytes:
-    """Return a serialised message of a header, perhaps a child frame, and numbers.
-
-    TwistStamped, PoseStamped, Vector3Stamped and Odometry are such. `time` [ns] is the stamp.
-    """
+    """Return a serialised message: a header at a time [ns], perhaps a child frame, and numbers."""
     numbers = tuple(numbers)
     head = struct.pack("<iI", *divmod(time, _NANOSECONDS))
     for text in (frame,) if child_frame is None else (frame, child_frame):
@@ -113,10 +107,7 @@ def is_empty(raw: bytes) -> bool:
 
 
 def transformed(poses: FloatArray, transform: tuple[float, ...]) -> FloatArray:
-    """Return poses [x, y, heading], shape (N, 3), in another frame.
-
-    `transform` has x [m], y [m] and turn [rad] of their own frame in the other; empty for none.
-    """
+    """Return poses (N, 3) in a frame where theirs is at x, y [m] and turn [rad]; empty for none."""
     if not transform:
         return poses
     x, y, turn = transform

@@ -57,10 +57,7 @@ class MessageDefinition:
 
 
 def _is_text(data: bytes) -> bool:
-    """Return whether a definition looks sound, though rosbags may not know its language.
-
-    So do those of services and of what the recorder did not find.
-    """
+    """Return whether a definition looks sound, as services' do, which rosbags cannot read."""
     try:
         text = data.decode()
     except UnicodeDecodeError:

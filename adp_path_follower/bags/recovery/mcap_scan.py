@@ -67,10 +67,7 @@ class Chunk:
 
 
 def read_chunk(body: bytes, length: int) -> Chunk | None:
-    """Return the chunk in a record's body or its beginning, None if the lengths in it disagree.
-
-    `length` is the one that the record's frame declares.
-    """
+    """Return the chunk that begins a body of `length` bytes, None if the lengths in it disagree."""
     if len(body) < CHUNK_HEAD.size:
         return None
     _, _, size, checksum, name_length = CHUNK_HEAD.unpack_from(body)
@@ -88,9 +85,8 @@ def read_chunk(body: bytes, length: int) -> Chunk | None:
 def unpack_chunk(chunk: Chunk) -> bytes | None:
     """Return the content of a chunk, or as much as there is of a torn one.
 
-    Returns None if it is packed in an unknown way, longer than `MOST_BYTES`, or not what it was:
-    one cannot tell then which part of it has changed. Raises FileError if the package that unpacks
-    it is not installed.
+    Returns None if it is packed in an unknown way, longer than `MOST_BYTES`, or was changed. Raises
+    FileError if the package that unpacks it is not installed.
     """
     if chunk.size > MOST_BYTES or chunk.compression not in ("", "lz4", "zstd"):
         return None
@@ -263,7 +259,6 @@ class RecordScanner:
         return self._size
 
     def _begins_chain(self, offset: int) -> bool:
-        """Return whether several records in a row begin here."""
         for count in range(_CHAIN):
             if offset == self._size or self._at(offset, len(MAGIC)) == MAGIC:
                 return True

@@ -77,15 +77,9 @@ def recover(
     beginning or its end), bits that changed within a message cannot be seen. Attachments are not
     copied. A record or unpacked chunk of more than 128 MiB is left, as memory is bounded.
 
-    Args:
-        bag: A bag's directory, or one .mcap file. It is not changed.
-        output: The new bag; by default beside the old one, named NAME_recovered.
-        progress: Takes the fraction done.
-
-    Raises:
-        FileError: There is no such bag, it holds nothing to recover, or the new one exists or
-            cannot be written.
-
+    The bag, a directory or one .mcap file, is not changed; the new one is by default beside it,
+    named NAME_recovered. Raises FileError if there is no such bag or nothing to recover, or if the
+    new one exists or cannot be written.
     """
     try:
         files = _storage_files(bag)
@@ -125,7 +119,6 @@ def _new_bag(directory: FilePath, metadata: TornMetadata) -> BagWriter:
 
 
 def _storage_files(bag: FilePath) -> list[FilePath]:
-    """Return the MCAP files of a bag, in the order they were recorded."""
     if not bag.exists():
         raise FileError(f"bag {bag} does not exist")
     if bag.is_dir():
@@ -194,11 +187,9 @@ class _Copy:
 
     @property
     def has_topics(self) -> bool:
-        """Return whether a topic has been found."""
         return bool(self._numbers)
 
     def knows_channel(self, channel: int) -> bool:
-        """Return whether the channel has been defined."""
         return channel in self._channels
 
     def is_whole(self, message: bytes) -> bool:
@@ -209,7 +200,6 @@ class _Copy:
         return _meaning(self._channels[channel][2]).fits(message[MESSAGE_HEAD.size :])
 
     def add_file(self, file: FilePath, size: int, progress: Callable[[int], None]) -> None:
-        """Copy what one file holds."""
         self._start_file()
         with file.open("rb") as stream:
             for definition in _summary_definitions(stream, size):
@@ -241,7 +231,6 @@ class _Copy:
         self.bytes_left += length
 
     def _add_chunk(self, record: Record) -> None:
-        """Copy what a chunk holds."""
         self._has_chunks = True
         chunk = read_chunk(record.body, record.length)
         content = unpack_chunk(chunk) if chunk is not None else None
@@ -324,10 +313,7 @@ def _meaning(schema: Schema) -> MessageDefinition:
 
 
 def _summary_definitions(stream: BinaryIO, size: int) -> Iterator[Schema | Channel]:
-    """Yield schemas and channels from the end of a file, if it has an end.
-
-    They are there a second time, for the case that the first ones are damaged.
-    """
+    """Yield schemas and channels at the end of a file, in case the first ones are damaged."""
     start = max(0, size - _MOST_TAIL)
     stream.seek(start)
     tail = stream.read(size - start)

@@ -10,8 +10,6 @@ from adp_path_follower.core.path.reversing import turned_command
 from adp_path_follower.core.settings.groups import LimitSettings, MotionSettings, Settings
 
 _LONGEST_DELAY = 1.0  # [s]: the highest actuation_delay; older commands are forgotten
-
-
 _LEAST_PERIOD, _MOST_PERIOD = 1e-6, 0.1  # [s]: after a pause a command does not make up for it
 
 
@@ -20,24 +18,18 @@ class Actuation:
 
     A control step asks in this order: `advance` lets time pass, `predicted` gives the pose to
     control from, `limited` the command that may follow, and `send` notes it.
-
-    Attributes:
-        command: The last command [v, w], shape (..., 2); zero after a stop.
-        time: When it was sent [ns], None if that is not known.
-        stopped: Whether the robot was told to stop, or nothing yet, since the last command.
-
     """
 
     def __init__(self) -> None:
         """Begin with a robot at rest."""
-        self.time: int | None = None
+        self.time: int | None = None  # of the last command [ns], if known
         self._elapsed = 0.0  # [s] from the last command to the next
         self.stop(forget=True)
 
     def stop(self, forget: bool = False) -> None:
         """Note a stop of the robot; forget earlier commands if that is long ago."""
-        self.stopped = True
-        self.command: FloatArray = np.zeros(2)
+        self.stopped = True  # since the last command, or from the beginning
+        self.command: FloatArray = np.zeros(2)  # the last [v, w], (..., 2)
         self._rate: FloatArray = np.zeros(2)
         if forget:
             self._clock = 0.0
@@ -94,10 +86,7 @@ class Actuation:
 
 
 def _driven(pose: FloatArray, commands: FloatArray, durations: FloatArray) -> FloatArray:
-    """Return the pose after commands (N, ..., 2) were held for durations (N,) [s], (..., 3).
-
-    Exact, as N times `geometry.advance_pose`: arcs, each with its chord.
-    """
+    """Return the exact poses (..., 3) after commands (N, ..., 2) held for durations (N,) [s]."""
     held = durations.reshape(-1, *[1] * (commands.ndim - 2))
     distance, turn = commands[..., 0] * held, commands[..., 1] * held
     x, y, theta = unpacked(pose)
@@ -122,15 +111,8 @@ def limited_command(
 
     Limits of acceleration always hold, those of velocity unless the previous command is beyond
     them; then it returns to them as fast as accelerations allow. A limit of jerk gives way to both.
-
-    Args:
-        wanted: [v, w] within the limits of velocity, shape (..., 2).
-        previous: The last command, shape (..., 2).
-        rate: How fast it was changing [m/s², rad/s²], shape (..., 2).
-        limits: Limits of velocity.
-        motion: Limits of acceleration and jerk.
-        dt: Time since the last command [s], above 0.
-
+    `wanted` is within the limits of velocity; `rate` is the change of `previous` [m/s², rad/s²],
+    (..., 2) each; dt > 0 is the time since the last command [s].
     """
     lower, upper = _within_reach(previous, motion, dt)
     if motion.jerk_limited:
@@ -145,11 +127,7 @@ def limited_command(
 def _within_reach(
     previous: FloatArray, motion: MotionSettings, dt: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the greatest [v, w] that accelerations allow, shape (..., 2) each.
-
-    From driving one way v gets to the other way by zero: it brakes with one acceleration and goes
-    on with another.
-    """
+    """Return the least and greatest [v, w] that accelerations allow; v changes sign by zero."""
     v, w = unpacked(previous)
     rise, fall = motion.max_linear_accel * dt, motion.max_linear_decel * dt
     turn = motion.max_angular_accel * dt

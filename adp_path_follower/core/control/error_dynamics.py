@@ -47,11 +47,7 @@ def feedforward(curvature: FloatArray, v_des: Number) -> FloatArray:
 def drift(
     zeta: FloatArray, curvature: FloatArray, target: TargetSettings, v_des: Number
 ) -> FloatArray:
-    """Return f of zeta' = f(zeta) + g(zeta) u at states zeta, shape (..., 4).
-
-    Curvature kappa [1/m] and v_des [m/s], shape (...), are those at each state's place on the path;
-    `target` has k1 and k2.
-    """
+    """Return f of zeta' = f(zeta) + g(zeta) u at states (..., 4), kappa [1/m] and v_des [m/s]."""
     s, y, theta, phi = numbers(zeta)
     speed = target_speed(zeta, target, v_des)
     # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.

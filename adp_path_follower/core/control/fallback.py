@@ -140,9 +140,8 @@ def is_doubtful(
 ) -> np.ndarray:
     """Return where the learned value function does not decrease as it must, shape (...).
 
-    Bellman error delta, running cost r and value are those of the learned policy, `riccati_value`
-    is that of the Riccati solution, shape (...) each; `nothing` is a
-    cost, and a rate of cost, that is as good as none.
+    Bellman error delta, running cost r and value are those of the learned policy, shape (...) each;
+    `nothing` is a cost, and a rate of cost, that is as good as none.
     """
     nothing += _ROUNDING
     rises = bellman_error > _MOST_ERROR * running_cost + nothing

@@ -9,10 +9,7 @@ from adp_path_follower.core.settings.groups import LimitSettings
 def actor_input(
     actor_weights: FloatArray, input_gradient: FloatArray, input_cost_inverse: FloatArray
 ) -> FloatArray:
-    """Return the modified input u = [v_e, w_e] of the actor, shape (..., 2).
-
-    Takes Wa (..., L), sigma'(zeta) g(zeta) (..., L, 2) and R^-1 (2, 2).
-    """
+    """Return u = [v_e, w_e] (..., 2) by Wa (..., L), sigma' g (..., L, 2) and R^-1 (2, 2)."""
     descent = np.matmul(actor_weights[..., None, :], input_gradient)[..., 0, :]
     return descending_input(descent, input_cost_inverse)
 

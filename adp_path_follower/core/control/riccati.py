@@ -43,10 +43,7 @@ def system_matrix(curvature: float, target: TargetSettings, speed: float) -> Flo
 def riccati_solution(
     curvature: float, speed: float, target: TargetSettings, cost: CostSettings
 ) -> FloatArray:
-    """Return P, shape (3, 3), at a curvature [1/m] and a speed [m/s].
-
-    Raises SettingsError if the numbers are too extreme for a solution.
-    """
+    """Return P (3, 3) at a curvature [1/m] and a speed [m/s]; SettingsError if there is none."""
     found = riccati_solutions(np.full(1, curvature), np.full(1, speed), target, cost)
     return np.asarray(found[0])
 
@@ -119,12 +116,9 @@ def _by_eigenvectors(
 
 
 class RiccatiSchedule:
-    """P over the range of a path's curvature and speed, interpolated from a table.
+    """P over a path's curvatures and speeds, interpolated from a table.
 
-    Attributes:
-        table: P at equidistant curvatures, shape (K, 3, 3); where the speed varies, for each of
-            several speeds, shape (M, K, 3, 3).
-
+    `table` has P at K equidistant curvatures, (K, 3, 3), or at M speeds too, (M, K, 3, 3).
     """
 
     def __init__(
@@ -156,11 +150,7 @@ class RiccatiSchedule:
         self.table = table.reshape(len(speeds), len(nodes), 3, 3)
 
     def matrix(self, curvature: FloatArray, speed: Number) -> FloatArray:
-        """Return P at curvatures [1/m] and speeds [m/s] of shape (...), shape (..., 3, 3).
-
-        Beyond the range of curvatures P is that at its end; a table of one speed ignores the
-        speeds.
-        """
+        """Return P (..., 3, 3) at curvatures [1/m], within the range, and speeds [m/s] (...)."""
         count = self.table.shape[-3]
         position = (curvature - self._start) / self._step
         position = np.fmin(np.fmax(position, 0.0), count - 1.0)

@@ -4,10 +4,9 @@ Far away the value is no polynomial: the cheapest way turns left here and right 
 
     V(e, kappa) = rho(e, kappa)^2 q^T P(kappa) q,
 
-with the half-angle error q and the Riccati solution P, which take the cone at the origin out of it.
-rho is a cubic spline in (s, y, theta) on a grid that is stretched in s and y and periodic in theta,
-and linear in kappa between layers. The problem is unchanged under (y, theta, kappa) -> (-y, -theta,
--kappa), so layers of kappa >= 0 are enough. `value_iteration` finds the values.
+with the half-angle error q and the Riccati solution P, which take out the cone at the origin. rho
+is a cubic spline in (s, y, theta), stretched in s and y and periodic in theta, and linear in kappa
+between layers >= 0, as (y, theta, kappa) -> (-y, -theta, -kappa) changes nothing.
 """
 
 from __future__ import annotations
@@ -27,18 +26,11 @@ _SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])
 
 @dataclass(frozen=True)
 class GridAxes:
-    """Nodes in s, y and theta.
+    """Nodes in s, y and theta."""
 
-    Attributes:
-        shape: Number of nodes in s, y and theta.
-        reach: Largest |s| and |y| [m].
-        bend: Distance [m] below which the nodes in s and y are about equally spaced.
-
-    """
-
-    shape: tuple[int, int, int]
-    reach: float
-    bend: float = 2.0
+    shape: tuple[int, int, int]  # number of nodes in s, y and theta
+    reach: float  # largest |s| and |y| [m]
+    bend: float = 2.0  # distance [m] below which the nodes in s and y are about equally spaced
 
     @property
     def nodes(self) -> FloatArray:
@@ -65,31 +57,21 @@ class GridAxes:
 
 @dataclass(frozen=True)
 class ValueGrid:
-    """V over errors and curvatures.
+    """V over errors and curvatures."""
 
-    Attributes:
-        axes: The nodes in s, y and theta.
-        curvatures: kappa of the layers [1/m], from 0 upwards, shape (K,).
-        riccati: P of each layer, shape (K, 3, 3).
-        coefficients: Spline of rho in each layer, one more at each end of s and y, and three of
-            theta, shape (K, n_s + 2, n_y + 2, n_theta + 3).
-
-    """
-
-    axes: GridAxes
-    curvatures: FloatArray
-    riccati: FloatArray
+    axes: GridAxes  # the nodes in s, y and theta
+    curvatures: FloatArray  # kappa of the layers [1/m], from 0 upwards, shape (K,)
+    riccati: FloatArray  # P of each layer, shape (K, 3, 3)
+    # Spline of rho in each layer, one more at each end of s and y, and three of theta, shape (K,
+    # n_s + 2, n_y + 2, n_theta + 3).
     coefficients: FloatArray
 
     def value_and_slope(
         self, error: FloatArray, curvature: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return V, shape (...), and its gradient by s, y and theta, shape (..., 3).
+        """Return V (...) and its gradient by s, y, theta (..., 3) at errors (..., 3).
 
-        Args:
-            error: [s, y, theta], shape (..., 3), theta from -pi to pi.
-            curvature: kappa [1/m], shape (...); beyond the layers, the last one counts.
-
+        theta is from -pi to pi; beyond the layers of kappa [1/m] (...), the last one counts.
         """
         left = np.where(np.asarray(curvature) < 0.0, -1.0, 1.0)
         mirror = np.stack([np.ones_like(left), left, left], axis=-1)
@@ -134,13 +116,7 @@ class ValueGrid:
 
 
 def half_angle_form(error: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return q^T P q, shape (...), and its gradient by s, y and theta, shape (..., 3).
-
-    Args:
-        error: [s, y, theta], shape (..., 3).
-        matrix: P, shape (..., 3, 3).
-
-    """
+    """Return q^T P q (...) and its gradient (..., 3) at errors (..., 3), for P (..., 3, 3)."""
     s, y, theta = error[..., 0], error[..., 1], error[..., 2]
     cos, sin = np.cos(0.5 * theta), np.sin(0.5 * theta)
     a, b = s * cos + y * sin, y * cos - s * sin

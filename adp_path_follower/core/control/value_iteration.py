@@ -1,12 +1,10 @@
 """Value iteration: the values of `value_grid`, from settings alone.
 
-For each layer of curvature, with the motion of equation (1) and the running cost r,
-
     V(e) <- min_u  integral of r over h + V(e(h)),   u constant over the step h,
 
-where the spline gives V between nodes (semi-Lagrangian). The minimum is looked for at
-u = -1/2 R^-1 g^T V_e within the limits, where the last sweep found it, and in the first sweeps
-among inputs from limit to limit.
+for each layer of curvature, with the motion of equation (1), the running cost r, and the spline
+between nodes (semi-Lagrangian). Inputs that are tried: -1/2 R^-1 g^T V_e within the limits, that of
+the last sweep, and at first some from limit to limit.
 """
 
 from __future__ import annotations
@@ -22,11 +20,7 @@ from adp_path_follower.core.control.riccati import riccati_solutions
 from adp_path_follower.core.control.value_grid import GridAxes, ValueGrid, half_angle_form
 from adp_path_follower.core.control.virtual_target import MOST_LEAD
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
-from adp_path_follower.core.settings.groups import (
-    CostSettings,
-    LimitSettings,
-    TargetSettings,
-)
+from adp_path_follower.core.settings.groups import CostSettings, LimitSettings, TargetSettings
 
 _CURVATURES = np.array([0.0, 0.25, 0.6, 1.2])  # [1/m] of the layers
 _REACH = 40.0  # [m]
@@ -43,8 +37,6 @@ _COUNTED = 15.0  # [m], within which the values must have settled
 _SETTLED = 5e-5  # mean change of rho in a sweep
 _MOST_SWEEPS = 400
 _UNLIMITED = 3.0  # speeds to try where there is no limit, as multiples of v_des and in rad/s
-
-
 METHOD = (2, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
 
 

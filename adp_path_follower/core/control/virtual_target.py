@@ -18,11 +18,6 @@ class VirtualTarget:
     """The target that moves along the path by s_p' = v_des cos(theta) + k1 s.
 
     Its speed stays below v_des + k1 20 m: one pose that cannot be must not send it away for good.
-
-    Attributes:
-        arc_length: s_p [m], shape (...).
-        v_des: v_des there [m/s], shape (...), or one number if it is the same everywhere.
-
     """
 
     def __init__(
@@ -33,9 +28,9 @@ class VirtualTarget:
         reference: SpeedReference | None = None,
     ) -> None:
         """Start at arc lengths [m] of the path, with `desired_speed` if there is no reference."""
-        self.arc_length = np.asarray(arc_length, dtype=float)[()]  # one robot: a number
+        self.arc_length = np.asarray(arc_length, dtype=float)[()]  # one robot: a number [m]
         self._reference = reference or ConstantSpeed(target)
-        self.v_des = self._reference.speed(self.arc_length)
+        self.v_des = self._reference.speed(self.arc_length)  # [m/s], (...), or one number
         self._path, self._target = path, target
         self._most_speed = target.desired_speed + target.target_gain * MOST_LEAD
         self._previous_error: FloatArray | None = None
@@ -53,10 +48,7 @@ class VirtualTarget:
         return other
 
     def move(self, pose: FloatArray, dt: float) -> tuple[PathFrame, FloatArray]:
-        """Move over the past period dt [s]; return the frame there and the error e (..., 3).
-
-        Heun's method: s_p' is taken at both ends of the period, where the robot was observed.
-        """
+        """Move over the past dt [s] by Heun's method; return the frame there and e (..., 3)."""
         if self.arc_length.shape != pose.shape[:-1]:  # one start for a batch
             self.arc_length = np.broadcast_to(self.arc_length, pose.shape[:-1])
         if self._previous_error is not None and dt > 0.0:

@@ -15,18 +15,12 @@ _PATIENCE = 10.0  # [s] from the target's arrival until a robot that is not ther
 
 
 class Goal:
-    """The end of an open path; a closed one has none.
-
-    Attributes:
-        reached: Whether the robot is there, shape (...).
-        problem: Why one robot will not get there, empty as long as it may.
-
-    """
+    """The end of an open path; a closed one has none."""
 
     def __init__(self, path: Path, motion: MotionSettings, stops: bool) -> None:
         """Take the end of the path, its tolerances and whether the robot brakes to it."""
-        self.reached: np.ndarray = np.zeros((), dtype=bool)
-        self.problem = ""
+        self.reached: np.ndarray = np.zeros((), dtype=bool)  # shape (...)
+        self.problem = ""  # why one robot will not get there
         self._open, self._length = not path.closed, path.length
         self._pose = path.frame(path.length).pose
         self._motion, self._stops = motion, stops
@@ -66,11 +60,7 @@ class Goal:
 
 
 _WINDOW = 200_000_000  # [ns] over which a robot at rest hardly moves
-
-
 _DISTANCE, _TURN = 0.005, 0.01  # [m], [rad] that it may, by its odometry's noise
-
-
 _LONGEST = 2_000_000_000  # [ns] to wait for a robot whose odometry never rests
 
 

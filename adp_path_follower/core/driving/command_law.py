@@ -51,12 +51,7 @@ class Situation:
 
 
 class CommandLaw:
-    """Turns the error to the virtual target into a command, with the learner's weights.
-
-    Attributes:
-        settings: All settings.
-
-    """
+    """Turns the error to the virtual target into a command, with the learner's weights."""
 
     def __init__(
         self,

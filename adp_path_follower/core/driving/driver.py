@@ -322,8 +322,8 @@ class Driver:
     def _own(self, output: FollowerOutput) -> FollowerOutput:
         """Return an output in the real robot's terms, if its follower's faces the other way.
 
-        The target pose has the heading that the robot should have, and curvature is positive to
-        the robot's left.
+        The target pose has the heading that the robot should have, and curvature is positive to the
+        robot's left.
         """
         if not self._present.reverse:
             return output

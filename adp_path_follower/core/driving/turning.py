@@ -19,8 +19,8 @@ def turning_command(
 ) -> FloatArray | None:
     """Return [v, w] that turns a robot at rest to a heading [rad], None when it has it.
 
-    It turns the shorter way round. The pose is x, y, theta (3,), the time [ns] that at which the
-    command is sent; it is added to the commands of `actuation`.
+    It turns the shorter way round. The pose is x, y, theta (3,), the time [ns] that of the command,
+    which is added to those of `actuation`.
     """
     motion, limits = settings.motion, settings.limits
     elapsed = 0.0 if actuation.time is None else 1e-9 * (time - actuation.time)

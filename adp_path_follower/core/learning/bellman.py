@@ -43,10 +43,6 @@ def bellman_errors(
 
 
 def excitation(information: FloatArray) -> FloatArray:
-    """Return the certificate of excitation: the smallest singular value of the information.
-
-    The matrix is symmetric and positive semidefinite, so this is its smallest eigenvalue; it is
-    above zero where the samples determine every weight (the paper's rank condition).
-    """
+    """Return the least eigenvalue of the information, above 0 under the paper's rank condition."""
     smallest = np.linalg.eigvalsh(information)[..., 0]
     return np.asarray(np.maximum(smallest, 0.0))  # rounding may pass zero

@@ -46,11 +46,7 @@ class KnotCritic:
         curvature: float,
         speed: float,
     ) -> CriticUpdate:
-        """Return the critic of a knot after its update with the equations of its samples.
-
-        Takes Wc of the knot so far (L,), the time since its last update [s], and kappa [1/m] and
-        v_des [m/s] there.
-        """
+        """Return Wc (L,) of a knot after an update; time [s], kappa [1/m], v_des [m/s] there."""
         found = fit(equations)
         refusal = self._refusal(found)
         if refusal:

@@ -1,13 +1,11 @@
 """Bellman errors at scattered sampled states, for weights that change along the path.
 
-With V(e, s_p) = w(s_p)^T sigma(e), and w linear between knots a distance h apart, the Bellman
-error of the knot at s_p is
+With V(e, s_p) = w(s_p)^T sigma(e), and w linear between knots h apart, that of the knot at s_p is
 
     delta = e^T Q e + u^T R u + w^T omega + (w_ahead - w)^T sigma s_p' / h,
-    omega = sigma'(e) (f(e, kappa) + g(e) u),
+    omega = sigma'(e) (f(e, kappa) + g(e) u).
 
-linear in the knot's weights w once those of the knot ahead are known. f is affine in the
-curvature and in the speed v_des, so what is prepared once serves every knot of every path.
+f is affine in kappa and v_des, so what is prepared once serves every knot of every path.
 """
 
 from __future__ import annotations
@@ -82,10 +80,7 @@ class KnotModel:
     """The model of the error dynamics at scattered sampled states."""
 
     def __init__(self, settings: Settings, spacing: float, varies: bool = False) -> None:
-        """Prepare everything that depends neither on weights nor on curvature, at N samples.
-
-        Knots are a distance h [m] apart; `varies` says that they have speeds of their own.
-        """
+        """Prepare N samples for knots h [m] apart; `varies`: these have speeds of their own."""
         learning = settings.learning
         self.states = scattered_samples(
             learning.sample_count, learning.sample_half_widths[:3], learning.sample_seed

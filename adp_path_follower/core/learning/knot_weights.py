@@ -1,7 +1,4 @@
-"""Stores critic and actor weights at knots along a path, for one robot or for a batch of them.
-
-Between two knots a distance h apart, Wc(s_p) and Wa(s_p) are linear, so dWc/ds_p is constant.
-"""
+"""Stores critic and actor weights at knots along a path; between knots they are linear."""
 
 import math
 from collections.abc import Sequence
@@ -34,18 +31,6 @@ class KnotWeights:
     every lap has its own. The last axis of knots and of arc lengths is that of the robots. Slots
     are numbered knot by knot, for all robots each, so memory is taken only for knots that some
     robot has been near.
-
-    Attributes:
-        spacing: h [m].
-        window: Number of knots of the preview.
-        lap: Number of knots of a lap, if they come round again, else None.
-        size: Number of weights L.
-        capacity: Most knots that are stored for each robot.
-        critic: Critic weights by slot, shape (slots, L).
-        actor: Actor weights likewise.
-        curvatures: kappa [1/m] at each slot's knot.
-        speeds: v_des [m/s] there, as models take it.
-
     """
 
     def __init__(
@@ -61,18 +46,18 @@ class KnotWeights:
         self._learning, self._path, self._riccati = learning, path, riccati
         self._profile = profile
         count = max(1, math.ceil(path.length / learning.knot_spacing))
-        self.spacing = path.length / count if path.closed else learning.knot_spacing
-        self.window = max(2, round(learning.preview_distance / self.spacing))
+        self.spacing = path.length / count if path.closed else learning.knot_spacing  # h [m]
+        self.window = max(2, round(learning.preview_distance / self.spacing))  # of a preview
         self._ends = None if path.closed else (-self.window, count + 1 + self.window)
-        self.lap = count if path.closed and count <= _MOST_KNOTS else None
+        self.lap = count if path.closed and count <= _MOST_KNOTS else None  # as they come again
         self.size = len(learning.value_basis.labels)
         knots = count if path.closed else count + 2 + 2 * self.window
-        self.capacity = min(_MOST_KNOTS, knots)
+        self.capacity = min(_MOST_KNOTS, knots)  # for each robot
         self._robots = np.arange(robots)
         # The system provides this memory only where something is written.
         slots = self.capacity * robots
         self.critic, self.actor = np.zeros((slots, self.size)), np.zeros((slots, self.size))
-        self.curvatures, self.speeds = np.zeros(slots), np.zeros(slots)
+        self.curvatures, self.speeds = np.zeros(slots), np.zeros(slots)  # at the knots of slots
         self.reset()
 
     def reset(self) -> None:

@@ -68,10 +68,7 @@ class Learner(Protocol):
 
 
 def actor_bound(learning: LearningSettings, riccati: RiccatiSchedule) -> float:
-    """Return the norm that the actor's projection keeps Wa below.
-
-    The projection never comes between the robot and its safe policy, the Riccati solution.
-    """
+    """Return the norm that the projection keeps Wa below, above that of the Riccati solution."""
     safe = learning.value_basis.quadratic_weights(riccati.table)
     return max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
 

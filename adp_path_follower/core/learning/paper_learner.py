@@ -19,15 +19,9 @@ _SETTLED_CHANGE = 1e-9
 
 
 class PathStateLearner:
-    """Learns from the measured state and from a grid of samples, all of them in every step.
+    """Learns from the measured state and from a grid of samples, all of them in every step."""
 
-    Attributes:
-        weights: Critic and actor weights, shape (..., L) each.
-        problem: Always empty: the printed laws have no safe policy to fall back on.
-
-    """
-
-    problem = ""
+    problem = ""  # the printed laws have no safe policy to fall back on
 
     def __init__(
         self,

@@ -1,19 +1,15 @@
 """Learns a value function whose weights change along the path, for one robot or for a batch.
 
-V(e, s_p) = w(s_p)^T sigma(e), with w linear between knots. The value function obeys
+V(e, s_p) = w(s_p)^T sigma(e), with w linear between knots, obeys
 
     0 = min_u e^T Q e + u^T R u + V_e (f + g u) + V_{s_p} s_p',
 
-so the value at a place depends on the value at the place ahead of it. The learner therefore sweeps
-backwards, knot by knot, from the Riccati solution at the end of its preview to the robot. At each
-knot the critic takes the weights with the least Bellman errors for the actor's policy, and the
-actor follows the critic. Then the next sweep begins. One control step uses a fixed number of
-samples, so its time is bounded. After a sweep over the whole preview the learner rests until the
-robot has passed a few knots. Before that, each knot uses the samples of one step only: rough
-weights at once are better than good ones late.
-
-Every robot has weights of its own, as its actor follows the critic while it is near. Robots that
-sweep the same knots share the sweep, at once or one after the other.
+so the value depends on the value ahead. A sweep goes backwards, knot by knot, from the Riccati
+solution at the end of the preview to the robot: the critic takes the least Bellman errors for the
+actor's policy, and the actor follows. A step uses a fixed number of samples, so its time is
+bounded. In the first sweep a knot has the samples of one step: rough weights at once are better
+than good ones late. Later the learner rests until the robot has passed a few knots. Each robot has
+weights of its own; those that sweep the same knots share the sweep.
 """
 
 import math
@@ -70,11 +66,7 @@ class PathLearner:
         profile: SpeedProfile | None = None,
         shape: tuple[int, ...] = (),
     ) -> None:
-        """Start from the initial weights of the settings everywhere, for a batch of a shape.
-
-        The speed profile is by default that of the settings. Robots that do not learn may share
-        the weights of shape ().
-        """
+        """Start from the settings' initial weights; robots that do not learn may share them."""
         learning = settings.learning
         self._settings, self._learning, self._path = settings, learning, path
         self._profile = profile if profile is not None else SpeedProfile(path, settings)
@@ -149,10 +141,7 @@ class PathLearner:
         return LocalWeights(Weights(critic, actor), slope)
 
     def learn(self, observation: Observation, dt: float) -> None:
-        """Let actors follow for dt [s], and use some samples of the knots whose turn it is.
-
-        No measurement is needed: the samples cover the measured state too.
-        """
+        """Let actors follow for dt [s], and use some samples of the knots whose turn it is."""
         near, ahead = self._span(observation)
         place = near.tobytes() + ahead.tobytes()
         if place != self._resting_at:
@@ -217,7 +206,6 @@ class PathLearner:
         return sweep
 
     def _forget_sweeps(self) -> None:
-        """Forget sweeps that no robot is on, if they have become too many."""
         if sum(len(sweep.updates) for sweep in self._sweeps.values()) > _MOST_UPDATES:
             used = [group.sweep for group in self._groups]
             self._sweeps = {(sweep.near, sweep.far): sweep for sweep in used}

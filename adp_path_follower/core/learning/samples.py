@@ -7,8 +7,6 @@ from adp_path_follower.core.geometry import FloatArray
 _INNER_SHARE = 0.3  # of the samples: scaled towards the origin, where the linear policy is decided
 _INNERMOST = 0.05  # of the region: the smallest of these scales
 _BITS = 30
-
-
 # By Joe and Kuo: coefficients of a primitive polynomial after the leading one, and the first
 # direction numbers. The first dimension has neither.
 _DIMENSIONS: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = (
@@ -29,10 +27,7 @@ def sample_grid(half_widths: tuple[float, ...], samples_per_axis: tuple[int, ...
 
 
 def scattered_samples(count: int, half_widths: tuple[float, ...], seed: int) -> FloatArray:
-    """Return states e scattered over a box about the origin, shape (count, 3).
-
-    A scrambled Sobol sequence, of which a share is scaled towards the origin.
-    """
+    """Return scrambled Sobol states e in a box, a share drawn to the origin, (count, 3)."""
     points = scrambled_sobol_points(count, seed)
     inner = points[:, 3] / _INNER_SHARE
     scale = np.where(inner < 1.0, _INNERMOST**inner, 1.0)

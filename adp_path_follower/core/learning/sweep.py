@@ -14,20 +14,12 @@ from adp_path_follower.core.learning.knot_model import KnotModel, NormalEquation
 
 
 class Sweep:
-    """The critic updates of the knots from the one before `far` back to `near`.
-
-    Attributes:
-        near: The last knot.
-        far: The knot ahead of the first.
-        samples: How many samples make up a knot.
-        updates: Updates of the knots far - 1, far - 2, ... that a robot has passed.
-
-    """
+    """The critic updates of the knots from the one before `far` back to `near`."""
 
     def __init__(self, near: int, far: int, samples: int, ahead: FloatArray) -> None:
         """Begin with Wc of the knot `far`, shape (L,)."""
         self.near, self.far, self.samples = near, far, samples
-        self.updates: list[CriticUpdate] = []
+        self.updates: list[CriticUpdate] = []  # of knots far - 1, far - 2, ...
         self._ahead = ahead
         self._done = 0  # samples of the next knot
         self._equations: NormalEquations | None = None  # of those

@@ -2,12 +2,10 @@
 
 With the regressors held over one period, the critic's law is linear,
 
-    Wc' = -(A Wc + b),   A = eta_c1 omega omega^T / p + eta_c2 / N sum_j omega_j omega_j^T / p_j,
+    Wc' = -(A Wc + b),   A = eta_c1 omega omega^T / p + eta_c2 / N sum_j omega_j omega_j^T / p_j.
 
-with a symmetric positive semidefinite A. Its exact solution contracts each eigenvector by
-exp(-lambda dt). The step here contracts by 1 / (1 + z + z^2 / 2) with z = lambda dt: equal to
-the exponential to second order, and between it and 1 for every z, so a step never overshoots the
-exact solution and never diverges, however long the period or large the gain. It needs one
+The exact solution contracts eigenvectors by exp(-z) with z = lambda dt, the step by 1 / (1 + z +
+z^2 / 2): the same to second order, and never beyond it. So it cannot diverge, and takes one
 symmetric solve. The actor's law is a first-order lag, solved exactly.
 """
 
@@ -31,11 +29,7 @@ def update_weights(
     learning: LearningSettings,
     dt: float,
 ) -> Weights:
-    """Return the weights after one period [s].
-
-    The Bellman errors at the measured state and at the sampled states are those of the weights at
-    the start of the period; `learning` has gains and bounds.
-    """
+    """Return the weights after one period [s], from the Bellman errors at its start."""
     gain_measured = learning.critic_gain_measured
     gain_sampled = learning.critic_gain_sampled / sampled.error.shape[-1]
     rate = gain_measured * measured.information + gain_sampled * sampled.information
@@ -46,11 +40,7 @@ def update_weights(
 
 
 def least_squares(weights: Weights, sampled: BellmanErrors) -> FloatArray:
-    """Return the critic weights with the least normalised Bellman errors, shape (..., L).
-
-    The policy is the actor's, held; where the samples determine a combination of weights not at
-    all, it stays near zero.
-    """
+    """Return Wc (..., L) of the least normalised Bellman errors, near zero where undetermined."""
     scaled = sampled.regressor / sampled.normalization[..., None]
     constant = sampled.error - np.einsum("...nl,...l->...n", sampled.regressor, weights.critic)
     matrix = np.matmul(np.swapaxes(scaled, -1, -2), scaled)
@@ -63,10 +53,7 @@ def least_squares(weights: Weights, sampled: BellmanErrors) -> FloatArray:
 def follow(
     actor_weights: FloatArray, critic_weights: FloatArray, gain: float, bound: float, dt: float
 ) -> FloatArray:
-    """Return Wa after following Wc with a gain eta_a [1/s] for a time [s], shape (..., L) each.
-
-    The projection keeps the norm of Wa below the bound.
-    """
+    """Return Wa (..., L) after following Wc by eta_a [1/s] for a time [s], with a bounded norm."""
     step = critic_weights - actor_weights
     step *= -math.expm1(-gain * dt)
     actor = actor_weights + step

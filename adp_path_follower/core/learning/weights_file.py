@@ -81,11 +81,7 @@ def encode(saved: SavedWeights) -> bytes:
 
 
 def decode(content: bytes, name: str) -> SavedWeights:
-    """Return the weights in the content of a weights file.
-
-    Raises FileError if it is none, of another version, damaged or not finite; `name` stands for it
-    in the message.
-    """
+    """Return the weights in the content of a weights file; FileError, with `name`, if unsound."""
     try:
         parts = _unpacked(content)
         head = parse_yaml(parts.pop("head").tobytes().decode())
@@ -109,10 +105,7 @@ def decode(content: bytes, name: str) -> SavedWeights:
 
 
 def read_weights(file: FilePath, settings: Settings) -> tuple[SavedWeights, bytes]:
-    """Return the weights in a file that were learned for these settings, and its content.
-
-    Raises FileError if it cannot be read, is not sound, or belongs to other settings.
-    """
+    """Return a file's weights and content; FileError if unsound, or learned for other settings."""
     try:
         if file.stat().st_size > _MOST_BYTES:
             raise FileError(f"weights file {file} is too large to be one: {_AGAIN}")

@@ -24,11 +24,7 @@ if TYPE_CHECKING:
 _DEGREE = 5  # of the pieces: curvature is then twice differentiable
 _PIECE = 0.05  # [m]
 _LEAST_PIECES, _MOST_PIECES = 64, 100_000  # the most take 30 MB
-
-
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
-
-
 _SPACING = 0.02  # [m] of places where the path is sampled, at most ...
 _MOST_PLACES = 100_000  # ... so many pieces
 _NEWTON_STEPS = 8
@@ -139,12 +135,8 @@ class Path:
     ) -> Path:
         """Return the path of a smooth curve by its arc length.
 
-        Args:
-            position: Maps parameters (M,) to points (M, 2) [m].
-            velocity: The derivative of `position`, never zero.
-            parameters: Increasing parameter values between which the curve is smooth.
-            closed: Whether the curve ends where it starts.
-
+        `position` maps increasing parameters (M,) to points (M, 2) [m]; `velocity`, its derivative,
+        is never zero. A closed curve ends where it starts.
         """
         return cls._by_arc_length(position, velocity, parameters, closed, piece=_PIECE)
 
@@ -209,10 +201,7 @@ class Path:
         return float(curvature.min()), float(curvature.max())
 
     def points(self, spacing: float = 0.05) -> FloatArray:
-        """Return poses along the path, at most `spacing` [m] apart, shape (N, 3).
-
-        The last pose of a closed path equals the first.
-        """
+        """Return poses at most `spacing` [m] apart, (N, 3); closed, the last equals the first."""
         count = max(2, math.ceil(self.length / spacing) + 1)
         poses = self.frame(np.linspace(0.0, self.length, count)).pose
         if self.closed:
@@ -226,10 +215,7 @@ class Path:
 
     @functools.cached_property
     def samples(self) -> PathSamples:
-        """Return equidistant places from start to end, at most 2 cm apart.
-
-        At most 100,001, so they are further apart on a path of more than 2 km.
-        """
+        """Return equidistant places at most 2 cm apart, but no more than 100,001 (above 2 km)."""
         pieces = min(max(2, math.ceil(self.length / _SPACING)), _MOST_PLACES)
         arc_length = np.linspace(0.0, self.length, pieces + 1)
         frame = self.frame(arc_length)
@@ -297,10 +283,7 @@ class _ArcLength:
 
 
 def _in_blocks(function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
-    """Return a function of many values (M,), computed some thousands at a time.
-
-    scipy's splines keep every other thread waiting while they are evaluated.
-    """
+    """Return a function of values (M,) in blocks: scipy's splines keep other threads waiting."""
     if len(values) <= _BLOCK:
         return function(values)
     starts = range(0, len(values), _BLOCK)

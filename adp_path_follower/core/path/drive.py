@@ -60,17 +60,11 @@ def project(
     driven: FloatArray | None = None,
     target: FloatArray | None = None,
 ) -> Projection:
-    """Return the places of a path along a drive.
+    """Return the places of a path along a drive of poses [m, m, rad] in order of time, (N, 3).
 
-    Beyond the ends of an open path the distance is that to the end.
-
-    Args:
-        path: The path.
-        poses: x [m], y [m], theta [rad] in order of time, shape (N, 3).
-        driven: Distance driven since the pose before [m], shape (N,), where it may be more than
-            that between the two: few poses round a tight turn.
-        target: Poses on the path that the robot followed, shape (N, 3), NaN where unknown.
-
+    `driven` is the distance driven since the pose before [m], (N,), where it may be more than that
+    between the two. `target` has poses on the path that the robot followed, (N, 3), NaN where
+    unknown. Beyond the ends of an open path the distance is that to the end.
     """
     if not len(poses):
         return Projection(np.zeros(0), np.zeros(0), np.zeros(0))

@@ -31,15 +31,9 @@ _LINE_LENGTH = 100.0  # [m]
 def named_path(name: str, settings: PathSettings | None = None) -> Path:
     """Return the path of this name; see the module's docstring.
 
-    Args:
-        name: Name or file.
-        settings: Settings that prepare the points of a file, as in the controller; the defaults if
-            None. A path that turns back is rejected here: only the controller drives backwards.
-
-    Raises:
-        PathError: No such name, or points that make no path.
-        FileError: A file that is missing or of another format.
-
+    The settings prepare the points of a file, the defaults if None. A path that turns back is
+    rejected: only the controller drives backwards. Raises PathError for an unknown name or points
+    that make no path, FileError for a file that is missing or of another format.
     """
     if name == "lissajous":
         return lissajous()
@@ -94,10 +88,7 @@ def circle(curvature: float) -> Path:
 
 
 def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path:
-    """Return the path along the points of a CSV or YAML file.
-
-    Raises FileError if it is missing or of another format, PathError if its points make no path.
-    """
+    """Return the path along a file's points; FileError if it is unsound, PathError for no path."""
     points, closed = read_points(file)
     try:
         return path_through(points, closed, settings)
@@ -106,11 +97,7 @@ def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path
 
 
 def named_route(name: str, settings: PathSettings) -> Route:
-    """Return the route of a name as the controller drives it: also backwards, or with turns.
-
-    Raises PathError for an unknown name or points that make no path, FileError for a file that is
-    missing or of another format.
-    """
+    """Return a name's route as the controller drives it, also backwards; errors as `named_path`."""
     if not is_path_file(name):
         return route_of(named_path(name))
     file = expanded(name)
@@ -132,12 +119,10 @@ def path_through(
 
 
 def named_points(name: str, spacing: float) -> FloatArray:
-    """Return poses to publish for a name: x, y, heading, shape (N, 3).
+    """Return poses to publish for a name: x, y, heading, (N, 3); errors as `named_path`.
 
-    Those of a built-in path are at most `spacing` [m] apart. Those of a file are its points, with
-    headings if it has some, else NaN: the follower rounds their corners. The last pose comes twice
-    if the file says `closed: false`. Raises PathError for an unknown name
-    or points that make no path, FileError for a file that is missing or of another format.
+    Those of a built-in path are at most `spacing` [m] apart. Those of a file may have no heading
+    (NaN), and the last pose comes twice if it says `closed: false`.
     """
     if not is_path_file(name):
         return named_path(name).points(spacing)

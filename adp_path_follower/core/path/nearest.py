@@ -28,18 +28,10 @@ class Projection:
 
 
 def best_place(path: Path, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the place on the whole path that fits a pose best, and its score.
+    """Return the arc lengths [m] on the whole path that fit poses (..., 3) best, and scores [m²].
 
-    The nearest place fits best, where a heading error of 90 degrees counts like a metre. At a
-    crossing of the path with itself, and between two lanes, the heading decides.
-
-    Args:
-        path: The path; its samples are compared, which are at most 2 cm apart up to 2 km.
-        pose: x [m], y [m], theta [rad], shape (..., 3).
-
-    Returns:
-        Arc length [m] and score [m²], 0 at best, shape (...) each.
-
+    A heading error of 90 degrees counts like a metre: at a crossing of the path with itself, and
+    between two lanes, the heading decides. Samples are compared, at most 2 cm apart up to 2 km.
     """
     samples = path.samples
     x, y, heading = (pose[..., index, None] for index in range(3))
@@ -51,10 +43,7 @@ def best_place(path: Path, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def place_near(path: Path, poses: FloatArray, last: FloatArray) -> FloatArray:
-    """Return the arc length [m] of the place nearest to poses (..., 3), within 1 m of the last.
-
-    `last` has the arc lengths of the last places [m], which broadcast to shape (...).
-    """
+    """Return the arc lengths [m] nearest to poses (..., 3), within 1 m of the last ones (...)."""
     count = round(_REACH / _SPACING)
     candidates = np.asarray(last)[..., None] + np.linspace(-_REACH, _REACH, 2 * count + 1)
     return beside(path, poses, nearest_of(path, poses, candidates), 0.5 * _SPACING).arc_length

@@ -52,10 +52,7 @@ def joined(points: FloatArray, closed: bool | None) -> tuple[FloatArray, bool]:
 
 
 def distinct_points(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
-    """Return points without coinciding neighbours (N, 2), and their indices (N,).
-
-    Raises PathError as `Path.from_points`.
-    """
+    """Return points without coinciding neighbours (N, 2) and their indices (N,), or PathError."""
     try:
         array = np.asarray(points, dtype=float)
     except (TypeError, ValueError, OverflowError):

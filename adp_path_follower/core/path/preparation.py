@@ -51,20 +51,12 @@ def prepare(
     headings: ArrayLike | None = None,
     closed: bool | None = None,
 ) -> Route:
-    """Return the route along poses.
+    """Return the route along poses: positions (N, 2) [m] and orientations (N,) [rad].
 
-    Args:
-        points: Positions in order, shape (N, 2) [m].
-        settings: Tolerance, whether the path is closed, and whether it may be reversed.
-        headings: Orientation of each pose, shape (N,) [rad]; NaN for one that has none. Zero
-            everywhere but at the ends counts as none: some publishers leave orientations out.
-        closed: Whether the path is closed, where its source says so; None leaves it to the
-            settings.
-
-    Raises:
-        PathError: Points that make no path, or a route that is driven backwards without
-            `allow_reversing`; the message names the place.
-
+    An orientation is NaN where there is none; zero everywhere but at the ends counts as none, as
+    some publishers leave them out. `closed` is what the source says, None leaves it to the
+    settings. Raises PathError for points that make no path, or a route that is driven backwards
+    without `allow_reversing`; the message names the place.
     """
     positions, index = distinct_points(points)
     given = _given_headings(headings, len(np.asarray(points)))
@@ -227,10 +219,7 @@ def _cut_route(
 
 
 def _thinned(points: FloatArray, distance: float) -> np.ndarray:
-    """Return points that are each a distance [m] away from the one before, by their numbers.
-
-    Noise of less than the distance turns no motion back. The last point is always one of them.
-    """
+    """Return the numbers of points a distance [m] away from the one before, and of the last."""
     chords = np.hypot(*np.diff(points, axis=0).T)
     if chords.min() >= distance:
         return np.arange(len(points))
@@ -255,10 +244,7 @@ def _cosines(chords: FloatArray) -> FloatArray:
 
 
 def _cusps(points: FloatArray, tolerance: float) -> np.ndarray:
-    """Return at which of the thinned points (K, 2) the motion turns back.
-
-    Also where it does so by two turns in a row, of which the tip between has been thinned out.
-    """
+    """Return at which of points (K, 2) the motion turns back, also about a thinned tip."""
     chords = np.diff(points, axis=0)
     at_once = np.append(_cosines(chords) < _CUSP, False)
     in_two = np.zeros(len(at_once), dtype=bool)
@@ -274,10 +260,7 @@ def _cusps(points: FloatArray, tolerance: float) -> np.ndarray:
 
 
 def _directions(poses: _Poses, kept: np.ndarray, cusps: np.ndarray) -> np.ndarray:
-    """Return for each chord between kept points 1 for driving forwards, -1 for backwards.
-
-    The orientations decide; where they do not say, the direction stays until the motion turns back.
-    """
+    """Return 1 or, backwards, -1 for each chord: by orientations, else as before the last cusp."""
     chords = np.diff(poses.points[kept], axis=0)
     decided = np.zeros(len(chords))
     if poses.headings is not None:
@@ -335,10 +318,7 @@ def _refuse_reversing(
 def _fitted(
     poses: _Poses, closed: bool, tolerance: float, unfit: Interpolation | None = None
 ) -> Path:
-    """Return the path of one segment; PathError if it cannot be smoothed within the tolerance.
-
-    `unfit` is a spline through it that is known not to be it.
-    """
+    """Return the path of a segment, other than the `unfit` one; PathError if smoothing fails."""
     if unfit is not None and unfit.closed != closed:
         unfit = None
     through = unfit or _interpolation(poses.points, closed)

@@ -65,10 +65,7 @@ class _Candidate:
 
 
 def new_start(route: Route, pose: FloatArray, controller: ControllerSettings) -> Place:
-    """Return where a new route begins for a robot's pose x, y, theta (3,), by `path_start`.
-
-    Raises SettingsError if `start_arc_length` is beyond the end.
-    """
+    """Return where a new route begins for a pose (3,); SettingsError if that is past its end."""
     if controller.path_start == "beginning":
         return Place()
     if controller.path_start == "nearest":

@@ -32,11 +32,7 @@ def turned_error(error: FloatArray) -> FloatArray:
 
 
 def turned_settings(settings: Settings) -> Settings:
-    """Return the settings of the robot that faces the other way.
-
-    Its highest velocity is the real one's lowest with the sign changed, and the other way round;
-    it follows the path no faster than that.
-    """
+    """Return the settings of the robot that faces the other way: limits are swapped, too."""
     fastest = -settings.limits.min_linear_vel
     return update(
         settings,

@@ -27,10 +27,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Route:
-    """Segments in the order in which they are driven; the robot stops between them.
-
-    Only a route of a single segment is ever closed.
-    """
+    """Segments in driving order, between which the robot stops; only a single one may be closed."""
 
     segments: tuple[Segment, ...]
     bend_of_poses: float = math.inf  # [1/m]: the most by which the poses turn, chord by chord

@@ -1,12 +1,10 @@
 """Smooth a polyline within a tolerance: noise averaged, corners rounded, the rest left alone.
 
-The polyline is laid on an even grid and smoothed by kernels of growing width (four box filters in
-a row: close to a Gaussian, of bounded support, and never negative, so straight stays straight and
-nothing overshoots). At each place one of these levels is taken: the first that more smoothing, as
-far as the tolerance permits, would not better. That is the unsmoothed curve where it is fair
-already, and the widest permitted kernel at a corner, because each wider one bends less. Levels
-blend over the width of their kernels, so the curvature stays continuous; and as every level that
-takes part is within the tolerance there, so is the blend.
+On an even grid it is smoothed by kernels of growing width: four box filters, near a Gaussian, of
+bounded support, never negative, so nothing overshoots. Each place takes the first level that more
+smoothing within the tolerance would not better: none where the curve is fair, the widest kernel at
+a corner. Levels blend over the width of their kernels, so the curvature stays continuous; as every
+level that takes part is within the tolerance there, so is the blend.
 """
 
 import math
@@ -148,12 +146,9 @@ def is_fair(through: Interpolation, tolerance: float) -> bool:
 
 
 def smoothed(through: Interpolation, tolerance: float) -> tuple[FloatArray, float]:
-    """Return a smooth curve within a tolerance [m] of points, and of their polyline.
+    """Return a smooth curve within a tolerance [m] of points and their polyline, and its step [m].
 
-    Returns:
-        Points of the curve, dense, shape (M, 2); those of a closed one end with the first. The
-        distance between them along the curve [m].
-
+    Its points are dense, shape (M, 2); those of a closed one end with the first.
     """
     points, parameter, closed = through.points, through.parameter, through.closed
     places, step = through.places(tolerance)

@@ -28,15 +28,7 @@ _TURNING = 0.05  # [m] over which the change of curvature is taken
 
 
 class ConstantSpeed:
-    """`desired_speed` at every arc length: the speed of an optimum, and of peers.
-
-    Attributes:
-        varies: Always false, as for a `SpeedProfile` that is `desired_speed` everywhere.
-        stops: Always false: the speed does not fall to zero anywhere.
-        highest: The speed [m/s].
-        slowest: The same.
-
-    """
+    """`desired_speed` [m/s] at every arc length: the speed of an optimum, and of peers."""
 
     varies = stops = False
 
@@ -52,16 +44,7 @@ class ConstantSpeed:
 
 
 class SpeedProfile:
-    """v_des at every arc length of a path.
-
-    Attributes:
-        varies: Whether it is anything else than `desired_speed` everywhere.
-        stops: Whether it ends at zero, at the end of an open path.
-        highest: Its highest speed [m/s].
-        slowest: Lowest speed that models use [m/s]. At rest a lateral error cannot be corrected,
-            so no model has a solution there.
-
-    """
+    """v_des at every arc length of a path."""
 
     @np.errstate(over="ignore")  # infinite ones are no limits
     def __init__(self, path: Path, settings: Settings) -> None:
@@ -69,6 +52,7 @@ class SpeedProfile:
         target, limits, motion = settings.target, settings.limits, settings.motion
         self._desired = target.desired_speed
         self.highest = min(target.desired_speed, float(limits.upper[0]))
+        # At rest a lateral error cannot be corrected, so no model has a solution there.
         self.slowest = min(_SLOWEST, _SLOWEST_SHARE * self.highest)
         self.stops = not path.closed and math.isfinite(motion.max_linear_decel)
         self._length, self._closed = path.length, path.closed
@@ -143,12 +127,7 @@ class SpeedProfile:
 
 
 class SpeedReference:
-    """The profile, approached from the robot's speed within its accelerations.
-
-    Attributes:
-        stops: Whether the profile ends at zero.
-
-    """
+    """The profile, approached from the robot's speed within its accelerations."""
 
     def __init__(self, profile: SpeedProfile, settings: Settings) -> None:
         """Take the accelerations; the profile holds from the start until `launch` is called."""

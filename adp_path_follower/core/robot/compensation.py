@@ -1,12 +1,10 @@
 """Commands for which the robot moves as an ideal unicycle would.
 
-A command sent now acts from now + delay on, and within a horizon h from then it brings the wheels
-from where they will be, v_a, to where they are wanted, v_h:
+    v_c = v_a + (v_h - v_a) / (1 - exp(-h / lag))
 
-    v_c = v_a + (v_h - v_a) / (1 - exp(-h / lag)).
-
-With h far below the lag this inverts the lag, and with it every error of the estimate; with h far
-above, it waits for the lag. The controller is asked for the pose at now + delay + h.
+acts from now + delay on, and within a horizon h brings the wheels from v_a to the wanted v_h. With
+h far below the lag it inverts the lag with every error of the estimate; far above, it waits for the
+lag. The controller is asked for the pose at now + delay + h.
 """
 
 import math
@@ -33,10 +31,7 @@ def horizon(model: RobotModel, noise: float) -> float:
 def compensated(
     model: RobotModel, acting: tuple[float, float], wanted: FloatArray, ahead: float
 ) -> FloatArray:
-    """Return the command (2,) that brings a robot to a wanted motion V, W (2,) in h [s].
-
-    `acting` is the wheels' v_a [m/s] and w_a [rad/s] when the command begins to act.
-    """
+    """Return the command (2,) from the wheels' v_a, w_a to a wanted motion V, W (2,) in h [s]."""
     v, w = model.wheels(*wanted.tolist())
     return np.array(
         [

@@ -36,20 +36,13 @@ _OUTLIERS = 5  # in a row, after which it is believed
 
 
 class StateEstimator:
-    """Knows state, gains and bias at the stamp of the last odometry.
-
-    Attributes:
-        stamp: That time [s], None before the first message.
-        frozen: Whether gains and bias stay as they are.
-        noise: Variances of x, y, theta, v, w in a message, shape (5,).
-
-    """
+    """Knows state, gains and bias at the stamp of the last odometry."""
 
     def __init__(self, model: RobotModel, learns: bool) -> None:
         """Begin with the gains of a model, which stay if it does not learn."""
-        self.stamp: float | None = None
-        self.frozen = False
-        self.noise: FloatArray = _NOISE.copy()
+        self.stamp: float | None = None  # of the last message [s]
+        self.frozen = False  # gains and bias
+        self.noise: FloatArray = _NOISE.copy()  # variances of x, y, theta, v, w in a message
         self._learns = learns
         self._found = self.noise.copy()
         self._mean = np.zeros(8)

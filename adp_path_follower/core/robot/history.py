@@ -11,18 +11,12 @@ _MOST = 512  # commands, above which those older than the memory are forgotten
 
 
 class CommandHistory:
-    """Remembers commands [m/s, rad/s] and when they were sent; before the first, the robot rests.
-
-    Attributes:
-        last: The last command.
-        ramp: Highest rate of change of the linear velocity that the firmware lets through [m/s^2].
-
-    """
+    """Remembers commands [m/s, rad/s] and their times; before the first, the robot rests."""
 
     def __init__(self) -> None:
         """Begin with a robot at rest."""
         self.last = (0.0, 0.0)
-        self.ramp = math.inf
+        self.ramp = math.inf  # of the linear velocity, by the firmware [m/s^2]
         self._times: list[float] = []
         self._sent: list[tuple[float, float, float]] = []  # and the velocity set until then
 

@@ -1,12 +1,9 @@
 """How a robot answers its commands: delay, lag, ramp, gains and bias.
 
-A command [v_c, w_c] sent at t acts from t + delay on. The firmware lets v_c change by no more than
-its ramp, and the wheels follow,
+A command [v_c, w_c] sent at t acts from t + delay on. The firmware limits the change of v_c to a
+ramp. The wheels, whose v and w the encoders tell, and the robot follow:
 
     v' = (v_c - v) / lag_v,    w' = (w_c - w) / lag_w,
-
-where v and w are what the encoders tell. The robot moves with
-
     V = k_v v,    W = k_w w + b v,    x' = V cos(theta),    y' = V sin(theta),    theta' = W,
 
 for wheels of another size or distance than the firmware believes, and of two sizes.
@@ -21,26 +18,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RobotModel:
-    """The parameters of one robot; those of the defaults are an ideal unicycle's.
+    """The parameters of one robot; those of the defaults are an ideal unicycle's."""
 
-    Attributes:
-        delay: Time from a command to its effect [s].
-        linear_lag: Time constant of v [s].
-        angular_lag: Time constant of w [s].
-        ramp: Highest rate of change of v_c that the firmware lets through [m/s^2].
-        linear_gain: k_v, true velocity by the encoders' one.
-        angular_gain: k_w, the same for the turn rate.
-        bias: b, turn rate that comes with the velocity [rad/m].
-
-    """
-
-    delay: float = 0.0
-    linear_lag: float = 0.0
-    angular_lag: float = 0.0
-    ramp: float = math.inf
-    linear_gain: float = 1.0
-    angular_gain: float = 1.0
-    bias: float = 0.0
+    delay: float = 0.0  # time from a command to its effect [s]
+    linear_lag: float = 0.0  # time constant of v [s]
+    angular_lag: float = 0.0  # time constant of w [s]
+    ramp: float = math.inf  # highest rate of change of v_c that the firmware lets through [m/s^2]
+    linear_gain: float = 1.0  # k_v, true velocity by the encoders' one
+    angular_gain: float = 1.0  # k_w, the same for the turn rate
+    bias: float = 0.0  # b, turn rate that comes with the velocity [rad/m]
 
     @property
     def ideal(self) -> bool:
@@ -74,22 +60,13 @@ IDEAL = RobotModel()
 
 @dataclass(frozen=True)
 class RobotState:
-    """Where a robot is and how its wheels turn.
+    """Where a robot is and how its wheels turn."""
 
-    Attributes:
-        x: Position [m].
-        y: Position [m].
-        theta: Heading [rad].
-        v: The wheels' velocity [m/s].
-        w: The wheels' turn rate [rad/s].
-
-    """
-
-    x: float
-    y: float
-    theta: float
-    v: float = 0.0
-    w: float = 0.0
+    x: float  # position [m]
+    y: float  # position [m]
+    theta: float  # heading [rad]
+    v: float = 0.0  # the wheels' velocity [m/s]
+    w: float = 0.0  # the wheels' turn rate [rad/s]
 
 
 # A command [m/s, rad/s] and the time for which it acts [s].
@@ -104,10 +81,7 @@ def response(now: float, wanted: float, dt: float, lag: float) -> tuple[float, f
 
 
 def advanced(model: RobotModel, state: RobotState, commands: Iterable[Held]) -> RobotState:
-    """Return the state after commands have acted one after the other.
-
-    Velocities, distances and turns are exact; each command is driven as one arc.
-    """
+    """Return the state after commands in turn, each driven as one arc of exact length and turn."""
     x, y, theta, v, w = state.x, state.y, state.theta, state.v, state.w
     gain, turn_gain, bias = model.linear_gain, model.angular_gain, model.bias
     for wanted_v, wanted_w, dt in commands:

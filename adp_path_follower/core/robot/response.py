@@ -35,21 +35,13 @@ _TOGETHER = 0.08  # [s] by which the lags of v and w may well differ
 
 @dataclass(frozen=True)
 class Response:
-    """Delay, lags and ramp, with standard deviations.
+    """Delay, lags and ramp, with standard deviations."""
 
-    Attributes:
-        delay: [s].
-        linear_lag: [s].
-        angular_lag: [s].
-        ramp: [m/s^2].
-        deviations: Standard deviations of delay and lags [s].
-
-    """
-
-    delay: float = 0.0
-    linear_lag: float = 0.0
-    angular_lag: float = 0.0
-    ramp: float = math.inf
+    delay: float = 0.0  # [s]
+    linear_lag: float = 0.0  # [s]
+    angular_lag: float = 0.0  # [s]
+    ramp: float = math.inf  # [m/s^2]
+    # Standard deviations of delay and lags [s].
     deviations: tuple[float, float, float] = (0.3, 0.3, 0.3)
 
 

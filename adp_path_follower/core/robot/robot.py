@@ -41,12 +41,7 @@ def model_of(settings: Settings) -> RobotModel:
 
 
 class Robot:
-    """Tells the controller where the robot will be, and the robot what makes it go there.
-
-    Attributes:
-        model: The model that drives; with `robot_model: ideal` it is not used.
-
-    """
+    """Tells the controller where the robot will be, and the robot what makes it go there."""
 
     def __init__(self, settings: Settings, learned: tuple[float, ...] = ()) -> None:
         """Begin with the model of the settings, or with one that was learned before."""
@@ -114,10 +109,7 @@ class Robot:
 
     @property
     def report(self) -> dict[str, float]:
-        """Return the model's parameters, their standard deviations, and what it explains.
-
-        Nothing where the robot is taken for ideal.
-        """
+        """Return the model's parameters, deviations and what it explains; empty where ideal."""
         if self._kind == "ideal":
             return {}
         model, found = self.model, self._found.deviations
@@ -137,11 +129,8 @@ class Robot:
     ) -> tuple[FloatArray, int]:
         """Return where the robot is when the next command is at work, and when that is [ns].
 
-        Args:
-            pose: Its pose by odometry, moved on to now at constant twist, shape (3,).
-            time: Now [ns].
-            motion: Odometry's v, w and age [s], shape (3,), None if they are not known.
-
+        `pose` (3,) is odometry's, moved on to now, `time` [ns]; `motion` its v, w and age [s], if
+        known.
         """
         self._acting = None
         if self._kind == "ideal" or motion is None:
@@ -222,7 +211,6 @@ class Robot:
         return command
 
     def _send(self, command: FloatArray) -> None:
-        """Note a command, shape (2,)."""
         if self._origin is not None:
             v, w = command.tolist()
             self._history.send(self._now, (v, w))

@@ -14,16 +14,11 @@ _TOO_MANY = 4  # windows since the start, at least, before a model is given up
 
 
 class Trial:
-    """Foretells the next window of the motion by both models, and keeps the mean errors.
-
-    Attributes:
-        failed: Whether the model explains the motion worse than the ideal one.
-
-    """
+    """Foretells the next window of the motion by both models, and keeps the mean errors."""
 
     def __init__(self) -> None:
         """Begin without evidence."""
-        self.failed = False
+        self.failed = False  # by worse errors than the ideal model's
         self._mine = self._ideal = 0.0  # mean squared errors [m^2]
         self._windows = 0
         self.restart()

@@ -53,16 +53,8 @@ class OdometryCheck:
 
         After a step back of the stamps, and after a jump, the next message is compared with this
         one, so the fault ends by itself when the messages agree again. Another robot frame does
-        not, nor a robot that is elsewhere after a silence.
-
-        Args:
-            now: Present time [ns], 0 if it is not known.
-            stamp: Its time [ns].
-            pose: x [m], y [m], theta [rad], shape (3,).
-            twist: v [m/s], w [rad/s], shape (2,).
-            child_frame: The robot's frame.
-            settings: Limits of age, speed and jumps.
-
+        not, nor a robot that is elsewhere after a silence. Times are in ns, `now` 0 if it is not
+        known; the pose is in m and rad, (3,), the twist in m/s and rad/s, (2,).
         """
         (x, y, theta), (v, w) = pose.tolist(), twist.tolist()
         self._fastest = tuple(map(max, self._fastest, settings.limits.upper.tolist()))
@@ -193,15 +185,7 @@ class MissingTwist:
     def twist(
         self, stamp: int, pose: FloatArray, twist: FloatArray, settings: Settings
     ) -> FloatArray:
-        """Return v [m/s] and w [rad/s] of a message, shape (2,), those given where there are any.
-
-        Args:
-            stamp: Its time [ns].
-            pose: x [m], y [m], theta [rad], shape (3,).
-            twist: The velocity given, shape (2,).
-            settings: Give the highest speed that a steady motion has, and the longest gap in it.
-
-        """
+        """Return [v, w] of a message, (2,), from poses [m, rad] (3,) where it gives none."""
         if self._given or twist.any():
             self._given, self.missing = True, False
             return twist

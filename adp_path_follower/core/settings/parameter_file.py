@@ -27,18 +27,11 @@ ROS_PREFIXES = ("qos_overrides.",)
 def load_settings(
     tree: type[Tree], node: str, file: FilePath | None = None, assignments: Iterable[str] = ()
 ) -> Tree:
-    """Return settings from a parameter file and ``NAME=VALUE`` assignments, which win.
+    """Return a tree of settings from a parameter file and ``NAME=VALUE`` assignments, which win.
 
-    Args:
-        tree: The settings tree.
-        node: Name of the node whose sections of the file count.
-        file: The YAML file; without one, the defaults.
-        assignments: Texts like "max_linear_vel=.inf", with YAML values.
-
-    Raises:
-        FileError: The file cannot be read, or is no parameter file for this node.
-        SettingsError: A setting is unknown, of the wrong type or out of range.
-
+    Without a file the defaults count, of a file the node's sections. Raises FileError for a file
+    that cannot be read or has none for this node, SettingsError for a setting that is unknown, of
+    the wrong type or out of range.
     """
     given = read_parameters(file, node) if file is not None else {}
     for assignment in assignments:
