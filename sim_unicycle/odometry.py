@@ -65,7 +65,7 @@ class Odometry:
         self.reading = self._measured(0.0, pose, twist, plant)  # the last that has arrived
         self.arrived: tuple[Reading, ...] = (
             self.reading,
-        )  # with the last step, but those lost by all
+        )  # with the last step, but those that all lost
 
     def step(
         self, time: float, pose: FloatArray, twist: FloatArray, dt: float, plant: PlantSettings

@@ -9,8 +9,6 @@ is a cubic spline in (s, y, theta), stretched in s and y and periodic in theta, 
 between layers >= 0, as (y, theta, kappa) -> (-y, -theta, -kappa) changes nothing.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

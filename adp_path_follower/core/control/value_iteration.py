@@ -7,8 +7,6 @@ between nodes (semi-Lagrangian). Inputs that are tried: -1/2 R^-1 g^T V_e within
 the last sweep, and at first some from limit to limit.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

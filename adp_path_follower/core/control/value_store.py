@@ -5,8 +5,6 @@ One takes some ten seconds to find, so it is kept in a file: in $XDG_CACHE_HOME/
 digest of the problem and of how it is solved.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """Drives one robot and keeps its state across new paths, settings and restarts."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -6,8 +6,6 @@ localised pose and by the encoders' twist. Their noise is found from what remain
 correction.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -9,8 +9,6 @@ ramp. The wheels, whose v and w the encoders tell, and the robot follow:
 for wheels of another size or distance than the firmware believes, and of two sizes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ compared with all of them, at each of several delays. The evidence weighs the me
 and their weighted mean is the model.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

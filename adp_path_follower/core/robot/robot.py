@@ -1,7 +1,5 @@
 """The robot between controller and world: with its model known, it is an ideal unicycle."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import replace
