@@ -35,7 +35,8 @@ class Motion:
     def distance(self, chosen: np.ndarray) -> float:
         """Return the length of the track over chosen poses (N,), without noise and jumps [m]."""
         total = 0.0
-        for rows in np.split(np.flatnonzero(chosen), _breaks(chosen, self.carried)):
+        jumps = np.flatnonzero(self.carried[chosen])  # as places among the chosen poses
+        for rows in np.split(np.flatnonzero(chosen), jumps):
             if len(rows) > 1:
                 there = np.cumsum(self.along[rows[1:]])
                 own = _to_and_fro(np.concatenate([[0.0], there]), _FILTER * self.noise)
@@ -44,11 +45,6 @@ class Motion:
                 total += own if own >= _ACROSS * chords else chords
                 total += float(self.hidden[rows[1:]].sum())
         return total
-
-
-def _breaks(chosen: np.ndarray, carried: np.ndarray) -> np.ndarray:
-    """Return where chosen poses begin anew after a jump, as places among them."""
-    return np.flatnonzero(carried[chosen])
 
 
 def motion_of(time: FloatArray, poses: FloatArray, speed: FloatArray, cut: np.ndarray) -> Motion:

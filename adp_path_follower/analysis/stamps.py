@@ -63,7 +63,8 @@ class Clock:
 
 def timeline(series: Series, name: str, clock: Clock | None = None) -> Timeline:
     """Return messages in the order of times to trust; `clock` is the odometry's, else None."""
-    sound = _sound(series.values)
+    # Finite, and no greater than a robot's place or speed can be; NaN is not below, either.
+    sound = np.asarray((np.abs(series.values) < _GREATEST).all(axis=1))
     notes = []
     if not sound.all():
         notes.append(f"{name}: {int((~sound).sum())} messages are not finite: left out")
@@ -105,11 +106,6 @@ def timed_stamps(series: Series, clock: Clock) -> np.ndarray:
 
 def _median(values: np.ndarray) -> float:
     return float(np.median(values))
-
-
-def _sound(values: FloatArray) -> np.ndarray:
-    """Return which rows are finite, and no greater than a robot's place or speed can be, (N,)."""
-    return np.asarray((np.abs(values) < _GREATEST).all(axis=1))  # NaN is not below, either
 
 
 def _rising(stamps: np.ndarray) -> np.ndarray:

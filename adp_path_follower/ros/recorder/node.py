@@ -95,15 +95,12 @@ class RecorderNode(Ending, Node):
             return
         found = {name for name, _ in self.get_topic_names_and_types()}
         for topic in sorted(found - self._settled):
-            if not self._is_chosen(topic):
+            wanted = self._takes_all or self._wanted.match(topic)
+            if not wanted or self._unwanted.match(topic):
                 self._settled.add(topic)
             elif publishers := self.get_publishers_info_by_topic(topic):
                 self._settled.add(topic)
                 self._begin(self._writer, topic, publishers)
-
-    def _is_chosen(self, topic: str) -> bool:
-        wanted = self._takes_all or self._wanted.match(topic)
-        return wanted and not self._unwanted.match(topic)
 
     def _begin(self, writer: BagWriter, topic: str, publishers: list[TopicEndpointInfo]) -> None:
         """Begin to record a topic, or warn that it cannot be recorded."""
