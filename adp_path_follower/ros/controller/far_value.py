@@ -6,6 +6,8 @@ change then, as if a parameter had, and so do those of a replay.
 
 import dataclasses
 import os
+import threading
+from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
 
@@ -95,7 +97,15 @@ def _missing(settings: Settings) -> tuple[ValueProblem, ...]:
 
 
 def _find(problems: tuple[ValueProblem, ...]) -> None:
-    """Find and store value functions, in a process of its own."""
+    """Find and store value functions, in a process of its own that ends with the node."""
     os.nice(_NICE)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     for problem in problems:
         store(problem)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None  # the node
+    parent.join()
+    os._exit(1)
