@@ -12,7 +12,7 @@ def main(duration: float = 30.0) -> None:
     x = np.linspace(0.0, 12.0, 60)
     path = adp.path(np.column_stack([x, np.sin(x)]))
     settings = adp.load_settings("default", desired_speed=0.4, max_lateral_accel=0.3)
-    starts = [[0.0, 0.3, 0.0], [0.0, -0.3, 0.5], [-0.2, 0.0, -1.0]]
+    starts = [[0.0, 0.3, 0.0], [0.0, -0.3, 0.5], [-0.2, 0.0, -0.8]]
     found = adp.simulate(path, settings, starts=starts, duration=duration)
     print(path)
     print(found)

@@ -97,5 +97,7 @@ def most_memory(robot, steps):
 def test_memory_does_not_grow_with_time(traced, values):
     robot = Robot(**values)
     robot.drive(LAP + 200)
-    before, after = most_memory(robot, 400), most_memory(robot, 400)
-    assert after - before < 400 * 16  # less than a float, and its place in a list, for each step
+    most = [most_memory(robot, 300) for _ in range(4)]
+    # Less than a float, and its place in a list, for each step. Threads of other tests may take
+    # memory meanwhile, but not each time.
+    assert min(np.diff(most)) < 300 * 16

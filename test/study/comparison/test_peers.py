@@ -203,8 +203,8 @@ def test_regulated_pure_pursuit_slows_down_in_turns(curvature, speed):
 
 
 def test_regulated_pure_pursuit_looks_ahead_by_speed():
-    rules = pure_pursuit.RegulationRules(use_velocity_scaled_lookahead_dist=True)
-    controller = RegulatedPurePursuit(SETTINGS, PATHS["line"], np.zeros(1), rules)
+    controller = RegulatedPurePursuit(SETTINGS, PATHS["line"], np.zeros(1))
+    controller.rules = pure_pursuit.RegulationRules(use_velocity_scaled_lookahead_dist=True)
     assert controller.lookahead(np.array([0.0, 0.4, -0.5, 2.0])) == pytest.approx(
         [0.3, 0.6, 0.75, 0.9]
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import subprocess
@@ -36,6 +37,7 @@ PATHS["circle1.0"] = "circle:1.0"
 EVERY = 5  # of the forty starts; bench/endurance/optima.py solves all
 
 
+@functools.cache  # what is transcribed for one test serves the others
 def solver(path: str = "lissajous", horizon: float = 30.0, **settings: object) -> OptimumSolver:
     built = build(Settings, {**UNLIMITED, **settings})
     return OptimumSolver(built, named_path(path), horizon=horizon)

@@ -31,9 +31,7 @@ def tuning(paper):
 @pytest.mark.parametrize(
     ("half_widths", "learning", "expected"),
     [
-        ((1.0, 1.0, 1.0, 0.5), "cold", 0.5882),
-        ((0.5, 0.5, 0.5, 0.5), "cold", 0.5967),
-        ((0.3, 0.3, 0.3, 0.3), "cold", 0.6163),
+        ((1.0, 1.0, 1.0, 0.5), "cold", 0.5882),  # test_reproduce.py holds all four costs
         ((1.0, 1.0, 1.0, 0.5), "frozen", 0.6285),
     ],
 )
