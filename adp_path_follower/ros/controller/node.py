@@ -20,7 +20,7 @@ from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, 
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import Commands
-from adp_path_follower.ros.controller.far_value import FarValue
+from adp_path_follower.ros.controller.far_value import drivable
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.parts import ControllerParts, start_teller
 from adp_path_follower.ros.controller.path_input import PathInput
@@ -51,7 +51,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self.settings = declare_settings(self, Settings)
         LiveSettings(self, self.settings, self._prepare_settings)
         self._weights = WeightsFiles(self, self.settings, lambda: self._driver)
-        self._fit, self._far_value = fit, FarValue(self.get_logger())
+        self._fit = fit
         self._parts: ControllerParts | None = None
         self._supervisor = Supervisor(self.settings.controller.odom_timeout)
         self._forget_run()
@@ -62,7 +62,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _forget_run(self) -> None:
         """Return to the state before any message."""
         told, log = start_teller(self.get_logger()), self.get_logger()
-        settings = self._far_value.drivable(self.settings)
+        settings = drivable(self.settings)
         self._driver = Driver(settings, self._weights.saved, log.warning, tell_start=told)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
@@ -129,7 +129,6 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Stop the robot and forget path, odometry and what was learned."""
         self.last_words()
         self._configured.destroy()
-        self._far_value.destroy()
         self._parts = None
         self._forget_run()
         return super().on_cleanup(state)
@@ -195,7 +194,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
         """Return what takes over settings between steps; SettingsError if no policy is found."""
-        change = self._driver.prepared(self._far_value.drivable(settings))
+        change = self._driver.prepared(drivable(settings))
 
         def take_over() -> None:
             self._driver.take_over(change)
@@ -239,8 +238,6 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Command for a time [ns], then learn: what is learned is for the next command."""
         self._command(time)
         self._driver.learn()
-        if self._far_value.has_come(self._driver, self.settings):
-            self._prepare_settings(self.settings)()
 
     def _command(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
