@@ -1,4 +1,4 @@
-"""Whether a model explains the robot's motion better than the ideal unicycle does."""
+"""Judges whether a model explains the motion of the robot better than the ideal unicycle does."""
 
 import math
 

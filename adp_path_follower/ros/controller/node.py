@@ -288,7 +288,8 @@ class PathFollowerNode(Ending, LifecycleNode):
     ) -> None:
         """Tell what a step at a time [ns], pose and motion (3,) found; see if it is the last."""
         parts, follower, route = self._configured, self._driver.follower, self._driver.route
-        assert follower is not None and route is not None  # noqa: PT018  # the step has made it
+        assert follower is not None  # the step has made it,
+        assert route is not None  # for this
         if parts.telemetry.learning(follower.learning_problem):
             self._publish_diagnostics()
         assert parts.path.followed is not None  # nor a step without a path
