@@ -30,9 +30,12 @@ format: $(VENV)/ready-lint  ## Format the code
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-docs: $(VENV)/ready-test  ## Generate the tables in docs/parameters.md and docs/safety.md
+docs: $(VENV)/ready-test  ## Generate tables in docs/, and the site in build/site
 	$(BIN)/adp parameters --format markdown > docs/parameters.md
 	$(BIN)/python bench/endurance/faults.py --table
+	$(BIN)/python bench/site/hooks.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "file://$(CURDIR)/build/site/index.html"
 
 bench: $(VENV)/ready-test  ## Measure ticks, learning steps, simulation and the node
 	@rm -f $(BENCH_RESULTS)
@@ -54,7 +57,7 @@ $(VENV)/ready: setup.py adp_path_follower/__init__.py
 
 $(VENV)/ready-test: $(VENV)/ready
 	@echo "Adding what sweeps and tests need"
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[sweep,test]'
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[sweep,test,docs]'
 	@touch $@
 
 $(VENV)/ready-lint: $(VENV)/ready-test

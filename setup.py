@@ -66,6 +66,8 @@ setup(
             "plotly>=6.0,<8",
             "jinja2>=3.1",
         ],
+        "tools": ["evo>=1.28", "pandas>=2.0"],  # that the docs use beside the package
+        "docs": ["mkdocs-material>=9.5,<10", "mkdocstrings[python]>=0.27,<2"],
         "test": [
             "pytest>=7.4",
             "pytest-xdist>=3.3",

@@ -28,6 +28,13 @@ GENERATED = ("bench/results/",)
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 
 
+def _anchors(text: str) -> set[str]:
+    """Return the anchors of a page: named ones, and those of its headings."""
+    headings = re.findall(r"^#+ (.+)$", text, re.M)
+    slugs = {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return {*re.findall(r'<a name="([^"]+)"></a>', text), *slugs}
+
+
 def _without_head(text: str) -> str:
     """Return a parameter file without the comment above its first section."""
     return text[text.index("/**/path_follower:") :]
@@ -108,6 +115,13 @@ def test_versions_agree():
     package = (ROOT / "package.xml").read_text(encoding="utf-8")
     assert f"<version>{__version__}</version>" in package
     assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_every_page_is_in_the_menu_of_the_site():
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
+    for page in (ROOT / "docs").glob("*.md"):
+        assert f" {page.name}\n" in menu, f"docs/{page.name}: name it in mkdocs.yml"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -118,9 +132,7 @@ def test_links_lead_somewhere(page):
         file, _, anchor = target.partition("#")
         linked = page.parent / file if file else page
         assert linked.exists(), target
-        assert not anchor or f'<a name="{anchor}"></a>' in linked.read_text(encoding="utf-8"), (
-            target
-        )
+        assert not anchor or anchor in _anchors(linked.read_text(encoding="utf-8")), target
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
