@@ -41,6 +41,7 @@ setup(
         (f"share/{NAME}/config", glob("config/*.yaml")),
         (f"share/{NAME}/config/faults", glob("config/faults/*.yaml")),
         (f"share/{NAME}/config/layouts", glob("config/layouts/*")),
+        (f"share/{NAME}/config/robots", glob("config/robots/*.yaml")),
         (f"share/{NAME}/config/sweeps", glob("config/sweeps/*.yaml")),
         (f"share/{NAME}/docs", glob("docs/*.md")),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),

@@ -16,9 +16,9 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path, path_through
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings as read_settings
-from adp_path_follower.core.settings.schema import build
 from adp_path_follower.resources import parameter_file
-from sim_unicycle.settings import PlantSettings, SimulatorSettings
+from sim_unicycle.robots import simulator_settings
+from sim_unicycle.settings import PlantSettings
 
 if TYPE_CHECKING:
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
@@ -89,7 +89,7 @@ def simulate(
     duration: float = 30.0,
     rate: float = 100.0,
     learning: str = "cold",
-    robot: Mapping[str, object] | None = None,
+    robot: Mapping[str, object] | str | None = None,
     record: bool = False,
 ) -> SimulationResult:
     """Simulate the closed loop without ROS, from one or many starts.
@@ -104,7 +104,7 @@ def simulate(
         duration: Simulated time [s].
         rate: Control steps per second [Hz].
         learning: "cold", "warm" (learn until the weights settle, then start) or "frozen".
-        robot: The simulated robot's imperfections, such as {"velocity_lag": 0.1}.
+        robot: The simulated robot by name, or its imperfections, as in {"velocity_lag": 0.1}.
         record: Keep the trajectories.
 
     Raises:
@@ -137,7 +137,7 @@ def compare(
     starts: ArrayLike | None = None,
     start_arc_length: float = 0.0,
     duration: float = 30.0,
-    robot: Mapping[str, object] | None = None,
+    robot: Mapping[str, object] | str | None = None,
 ) -> Comparison:
     """Run controllers from the same starts, and beside the offline optimum (needs CasADi).
 
@@ -150,7 +150,7 @@ def compare(
         starts: Initial errors [s, y, theta], shape (B, 3); forty if not given.
         start_arc_length: Where the virtual target starts [m].
         duration: Time [s] over which the cost is compared.
-        robot: The simulated robot's imperfections, such as {"velocity_lag": 0.1}.
+        robot: The simulated robot by name, or its imperfections, as in {"velocity_lag": 0.1}.
 
     Raises:
         AdpError: An argument is wrong, or CasADi is missing.
@@ -225,10 +225,12 @@ def _settings(given: SettingsLike) -> Settings:
     return given if isinstance(given, Settings) else load_settings(given)
 
 
-def _robot(given: Mapping[str, object] | None) -> tuple[PlantSettings, FaultScript]:
+def _robot(given: Mapping[str, object] | str | None) -> tuple[PlantSettings, FaultScript]:
     from adp_path_follower.study.simulation.simulate import without_nodes
 
-    return without_nodes(build(SimulatorSettings, given or {}))
+    return without_nodes(
+        simulator_settings({"robot": given} if isinstance(given, str) else given or {})
+    )
 
 
 def _starts(given: ArrayLike | None) -> np.ndarray:

@@ -29,6 +29,17 @@ def parameter_file(name: str) -> FilePath:
     raise FileError(f"unknown parameters '{name}'{did_you_mean(name, known)}, or give a file")
 
 
+def shipped_file(folder: str, name: str, kind: str) -> FilePath:
+    """Return a file, or the one of a name in a folder of config; FileError if it is neither."""
+    file = FilePath(name)
+    if file.suffix or file.exists():
+        return file
+    known = {item.stem: item for item in (config_file("default.yaml").parent / folder).iterdir()}
+    if name not in known:
+        raise FileError(f"{kind} '{name}' is neither a file nor one of {', '.join(sorted(known))}")
+    return known[name]
+
+
 def docs_page(name: str) -> FilePath:
     """Return a page of the docs, such as "sweeps"; raise FileError if it is missing."""
     known = docs_pages()

@@ -4,18 +4,16 @@ import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from pathlib import Path as FilePath
 
 from adp_path_follower.core.errors import FileError, SettingsError
 from adp_path_follower.core.files import read_yaml
 from adp_path_follower.core.settings.schema import Value, build, checked, setting_fields, update
-from adp_path_follower.resources import config_file
+from adp_path_follower.resources import shipped_file
 from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
 
 _FIELDS = {field.name: field for field in setting_fields(SimulatorSettings)}
 _CHANGEABLE = tuple(name for name, field in _FIELDS.items() if not field.spec.read_only)
 _TIMES = ("at", "for", "every")
-_FOLDER = "faults"
 _ROUNDING = 1e-9  # [s]
 
 
@@ -76,7 +74,7 @@ def read_fault_script(name: str) -> FaultScript:
     """
     if not name:
         return FaultScript()
-    file = _found(name)
+    file = shipped_file("faults", name, "fault script")
     content = read_yaml(file)
     if not isinstance(content, Mapping) or list(content) != ["faults"]:
         raise FileError(f"file {file} is no fault script: it must have one key, 'faults', a list")
@@ -92,20 +90,6 @@ def read_fault_script(name: str) -> FaultScript:
         except SettingsError as error:
             raise SettingsError(f"file {file}, entry {number}: {error}") from None
     return FaultScript(tuple(found))
-
-
-def _found(name: str) -> FilePath:
-    file = FilePath(name)
-    if file.suffix or file.exists():
-        return file
-    try:
-        return config_file(f"{_FOLDER}/{name}.yaml")
-    except FileError:
-        known = config_file(f"{_FOLDER}/push.yaml").parent.glob("*.yaml")
-        raise FileError(
-            f"fault script '{name}' is neither a file nor one of "
-            f"{', '.join(sorted(item.stem for item in known))}"
-        ) from None
 
 
 def _entry(entry: object) -> FaultEntry:

@@ -27,6 +27,7 @@ from adp_path_follower.ros.runtime.qos import EVERY_STEP, LOSSLESS
 from adp_path_follower.ros.runtime.run import Ending, run_node
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.odometry import Reading
+from sim_unicycle.robots import with_robot
 from sim_unicycle.settings import SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
 
@@ -52,7 +53,7 @@ class SimulatorNode(Ending, Node):
     def __init__(self) -> None:
         """Declare the parameters and start."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
-        self._settings = declare_settings(self, SimulatorSettings)
+        self._settings = declare_settings(self, SimulatorSettings, with_robot)
         LiveSettings(self, self._settings, self._prepare_settings)
         simulation = self._settings.simulation
         self._script = read_fault_script(simulation.fault_script)
@@ -227,7 +228,7 @@ class SimulatorNode(Ending, Node):
         self._truth_message = odometry_message(time, robot.pose, robot.twist, frames)
         self._odometry_messages = []
         for reading in robot.arrived:
-            measured_at = self._time - round((robot.time - reading.time) * NANOSECONDS)
+            measured_at = self._time - round((robot.time - float(reading.time)) * NANOSECONDS)
             self._odometry_messages.append(odometry_of(reading, measured_at, settings))
             if self._chance.random() < faults.odometry_duplicate:
                 self._odometry_messages.append(self._odometry_messages[-1])

@@ -1,33 +1,29 @@
-"""Odometry of the simulated robot: noise, drift, delay and losses, the same for every controller.
+"""Odometry of the simulated robot: rate, noise, drift, delay, losses, alike for every controller.
 
 Random numbers depend on seed, run and the number of steps only: not on who measures, how often,
 or which other runs and disturbances there are.
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.geometry import FloatArray, advance_pose, wrap_angle
 from sim_unicycle.settings import PlantSettings
 
-Losses = NDArray[np.bool_]
-
 _CHUNK = 2**14  # random numbers that are drawn at once
-_NOISE, _DRIFT, _LOSS = range(3)  # streams of random numbers for each run
+_NOISE, _DRIFT, _LOSS, _ENCODERS, _JITTER = range(5)  # streams of random numbers for each run
 
 
 @dataclass(frozen=True)
 class Reading:
     """One measurement."""
 
-    time: float  # time of the measurement [s]
+    time: FloatArray  # time of the measurement [s], shape (...)
     # x [m], y [m], theta [rad] with noise and drift, heading in [-pi, pi), (..., 3).
     pose: FloatArray
-    twist: FloatArray  # v [m/s] and w [rad/s] of the wheels, shape (..., 2)
+    twist: FloatArray  # v [m/s] and w [rad/s] of the encoders, shape (..., 2)
 
 
 class _Stream:
@@ -61,38 +57,56 @@ class Odometry:
         self._seed = plant.seed + run  # fixed from here on
         self._streams: dict[int, _Stream] = {}
         self._offset = np.zeros(pose.shape)
-        self._due: deque[tuple[float, Reading, Losses | None]] = deque()
+        self._reckoned = pose
+        self._next = 1.0 / plant.odometry_rate  # when it measures again [s]
+        # When each run's message comes, infinite if it is lost or has come; and the message.
+        self._due: list[tuple[FloatArray, Reading]] = []
+        self._latest = np.full(self._shape, -math.inf)  # of those times
         self.reading = self._measured(0.0, pose, twist, plant)  # the last that has arrived
-        self.arrived: tuple[Reading, ...] = (
-            self.reading,
-        )  # with the last step, but those that all lost
+        self.arrived: tuple[Reading, ...] = (self.reading,)  # with the last step
 
     def step(
         self, time: float, pose: FloatArray, twist: FloatArray, dt: float, plant: PlantSettings
     ) -> None:
         """Measure a robot after a step of a length [s] that ended at a time [s]."""
         self._drift(dt, plant)
-        reading = self._measured(time, pose, twist, plant)
-        lost: Losses | None = None
+        self._reckoned = advance_pose(self._reckoned, twist[..., 0], twist[..., 1], dt)
+        if time + 1e-9 >= self._next:
+            period = 1.0 / plant.odometry_rate
+            self._next = max(self._next + period, time + 0.5 * period) if period else 0.0
+            reading = self._measured(
+                time, self._reckoned if plant.dead_reckoning else pose, twist, plant
+            )
+            self._due.append((self._arrival(time, plant), reading))
+        self.arrived = ()
+        for due, reading in self._due:
+            come = due <= time + 1e-9
+            if come.any():
+                self.reading = reading if come.all() else self._mixed(reading, come)
+                self.arrived += (reading,)
+                due[come] = math.inf
+        self._due = [item for item in self._due if np.isfinite(item[0]).any()]
+
+    def _arrival(self, time: float, plant: PlantSettings) -> FloatArray:
+        """Return when a message about a time [s] comes, infinite where it is lost, shape (...)."""
+        due = np.full(self._shape, time + plant.odometry_delay)
+        if plant.odometry_jitter > 0.0:
+            late = plant.odometry_jitter * self._stream(_JITTER).draw()[:, 0]
+            due = np.maximum(due + late.reshape(self._shape), time)
+        due = self._latest = np.maximum(due, self._latest)
         if plant.odometry_drop > 0.0:
             lost = self._stream(_LOSS).draw() < plant.odometry_drop
-        self._due.append((time + plant.odometry_delay, reading, lost))
-        arrived = []
-        while self._due and self._due[0][0] <= time + 1e-9:
-            _, reading, lost = self._due.popleft()
-            if lost is None:
-                self.reading = reading
-            elif lost.all():
-                continue
-            else:
-                self.reading = self._kept(reading, lost.reshape((*self._shape, 1)))
-            arrived.append(reading)
-        self.arrived = tuple(arrived)
+            due = np.where(lost.reshape(self._shape), math.inf, due)
+        return np.array(due)
 
-    def _kept(self, reading: Reading, lost: Losses) -> Reading:
-        """Return a reading, with the last known values where it was lost."""
-        pose = np.where(lost, self.reading.pose, reading.pose)
-        return Reading(reading.time, pose, np.where(lost, self.reading.twist, reading.twist))
+    def _mixed(self, reading: Reading, come: np.ndarray) -> Reading:
+        """Return a reading of the runs where it has come, of the others the last known values."""
+        last, rows = self.reading, come[..., None]
+        return Reading(
+            np.where(come, reading.time, last.time),
+            np.where(rows, reading.pose, last.pose),
+            np.where(rows, reading.twist, last.twist),
+        )
 
     def _drift(self, dt: float, plant: PlantSettings) -> None:
         if plant.position_drift > 0.0 or plant.heading_drift > 0.0:
@@ -108,7 +122,10 @@ class Odometry:
             size = np.array([plant.position_noise, plant.position_noise, plant.heading_noise])
             measured = measured + size * self._stream(_NOISE).draw().reshape(pose.shape)
         measured[..., 2] = wrap_angle(measured[..., 2])
-        return Reading(time, measured, twist)
+        if any(plant.encoder_noise):
+            drawn = self._stream(_ENCODERS).draw()[:, :2].reshape(twist.shape)
+            twist = twist + np.array(plant.encoder_noise) * drawn
+        return Reading(np.full(self._shape, time), measured, twist)
 
     def _stream(self, purpose: int) -> _Stream:
         if purpose not in self._streams:

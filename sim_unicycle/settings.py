@@ -1,9 +1,10 @@
 """Settings of the simulator."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.robot.model import RobotModel
 from adp_path_follower.core.settings.schema import POSITIVE, setting
 
 _WIRING = "the node's topics and timers are made from it"
@@ -25,6 +26,11 @@ class StartSettings:
 class PlantSettings:
     """Robot."""
 
+    robot: str = setting(
+        "",
+        "Robot of config/robots, or a file like those: its values are the defaults of all others.",
+        read_only="it is read at the start",
+    )
     min_linear_vel: float = setting(
         -math.inf, "Lowest possible linear velocity.", unit="m/s", high=0.0
     )
@@ -40,11 +46,24 @@ class PlantSettings:
     max_angular_accel: float = setting(
         math.inf, "Highest possible angular acceleration.", unit="rad/s^2", low=POSITIVE
     )
+    command_ramp: float = setting(
+        math.inf,
+        "Highest change of the commanded linear velocity that the firmware lets through.",
+        unit="m/s^2",
+        low=POSITIVE,
+    )
     velocity_lag: float = setting(
         0.0,
         "Time constant of the wheels' velocities.",
         unit="s",
         low=0.0,
+        high=10.0,
+    )
+    angular_lag: float = setting(
+        -1.0,
+        "Time constant of the turn rate; that of velocity_lag if negative.",
+        unit="s",
+        low=-1.0,
         high=10.0,
     )
     command_delay: float = setting(
@@ -53,6 +72,22 @@ class PlantSettings:
         unit="s",
         low=0.0,
         high=10.0,
+    )
+    gains: tuple[float, ...] = setting(
+        (1.0, 1.0),
+        "True linear and angular velocity, as multiples of those that the encoders report.",
+        symbol="k_v, k_ω",
+        low=0.5,
+        high=2.0,
+        lengths=(2,),
+    )
+    bias: float = setting(
+        0.0,
+        "Turn that comes with each metre of driving straight, positive to the left.",
+        symbol="b",
+        unit="rad/m",
+        low=-1.0,
+        high=1.0,
     )
     linear_slip: float = setting(
         0.0,
@@ -83,6 +118,17 @@ class PlantSettings:
     heading_noise: float = setting(
         0.0, "Standard deviation of the heading in odometry.", unit="rad", low=0.0, high=3.0
     )
+    encoder_noise: tuple[float, ...] = setting(
+        (0.0, 0.0),
+        "Standard deviations of the linear and the angular velocity in odometry.",
+        unit="m/s, rad/s",
+        low=0.0,
+        high=10.0,
+        lengths=(2,),
+    )
+    dead_reckoning: bool = setting(
+        False, "Integrate the encoders to the pose in odometry, instead of localising the robot."
+    )
     position_drift: float = setting(
         0.0,
         "Drift of x and y in odometry: a random walk with this standard deviation after 1 s.",
@@ -93,6 +139,12 @@ class PlantSettings:
     heading_drift: float = setting(
         0.0, "The same for the heading.", unit="rad/sqrt(s)", low=0.0, high=3.0
     )
+    odometry_rate: float = setting(
+        math.inf,
+        "Odometry messages per second, at most one for each step.",
+        unit="Hz",
+        low=0.1,
+    )
     odometry_delay: float = setting(
         0.0,
         "Time from a measurement to its message, rounded up to whole steps. The stamp is that of "
@@ -100,6 +152,13 @@ class PlantSettings:
         unit="s",
         low=0.0,
         high=10.0,
+    )
+    odometry_jitter: float = setting(
+        0.0,
+        "Standard deviation of this time; messages keep their order.",
+        unit="s",
+        low=0.0,
+        high=1.0,
     )
     odometry_drop: float = setting(
         0.0, "Probability that an odometry message is lost.", low=0.0, high=1.0
@@ -111,6 +170,24 @@ class PlantSettings:
         high=2**31 - 1,
         read_only=_START,
     )
+
+    @property
+    def ideal(self) -> bool:
+        """Return whether this is the ideal unicycle with ideal odometry."""
+        return replace(self, robot="", seed=0) == PlantSettings()
+
+    @property
+    def model(self) -> RobotModel:
+        """Return the model of this robot."""
+        return RobotModel(
+            delay=self.command_delay,
+            linear_lag=self.velocity_lag,
+            angular_lag=self.velocity_lag if self.angular_lag < 0.0 else self.angular_lag,
+            ramp=self.command_ramp,
+            linear_gain=self.gains[0],
+            angular_gain=self.gains[1],
+            bias=self.bias,
+        )
 
 
 @dataclass(frozen=True)
@@ -154,7 +231,7 @@ class SimulationSettings:
 
     rate: float = setting(
         100.0,
-        "Odometry messages per simulated second.",
+        "Steps per simulated second, each with one odometry message unless odometry_rate is lower.",
         unit="Hz",
         low=1.0,
         high=1000.0,

@@ -15,8 +15,9 @@ _GRAVITY = 9.81  # [m/s^2]
 class Unicycle:
     """One kinematic unicycle, or a batch of them along the leading axes of the pose.
 
-    A command passes through delay, limits of velocity, lag and limits of acceleration to the
-    wheels, and through slip, friction and a push to the ground. It is measured after every step.
+    A command passes through delay, limits of velocity, ramp, lag and limits of acceleration to the
+    wheels, and through gains, bias, slip, friction and a push to the ground. It is measured after
+    every step.
     """
 
     def __init__(self, pose: FloatArray, plant: PlantSettings, run: int = 0) -> None:
@@ -24,7 +25,7 @@ class Unicycle:
         self.pose = np.array(pose, dtype=float)  # true
         self.twist = np.zeros((*self.pose.shape[:-1], 2))  # true, over the last step
         self.plant = plant  # may be exchanged between two steps, but for the seed
-        self._velocity = self.twist  # of the wheels
+        self._velocity = self._set = self.twist  # of the wheels, and by the firmware's ramp
         self._time = 0.0
         self._pending: deque[tuple[float, FloatArray]] = deque()
         self._effective = self.twist
@@ -46,7 +47,14 @@ class Unicycle:
             return
         plant = self.plant
         wanted = within_limits(self._delayed(np.asarray(command, dtype=float)), plant)
-        wheels, self._velocity = drive(self._velocity, wanted, dt, plant)
+        if math.isfinite(plant.command_ramp):
+            limits = np.array([plant.command_ramp, math.inf])
+            wanted, self._set = drive(self._set, wanted, dt, np.zeros(2), limits)
+        model = plant.model
+        limits = np.array([plant.max_linear_accel, plant.max_angular_accel])
+        limits[0] = min(limits[0], plant.friction * _GRAVITY)
+        lags = np.array([model.linear_lag, model.angular_lag])
+        wheels, self._velocity = drive(self._velocity, wanted, dt, lags, limits)
         forward, left, turning = plant.push
         self.twist = on_the_ground(wheels, plant)
         if forward or turning:
@@ -58,6 +66,20 @@ class Unicycle:
     def measured_pose(self) -> FloatArray:
         """Return the pose as odometry reported it last, heading in [-pi, pi), shape (..., 3)."""
         return self._odometry.reading.pose.copy()
+
+    def present_pose(self) -> FloatArray:
+        """Return that pose moved on to now at the measured velocities, shape (..., 3)."""
+        pose, age = self.measured_pose(), self._time - self._odometry.reading.time
+        if not (age > 1e-9).any():
+            return pose
+        twist = self._odometry.reading.twist
+        return advance_pose(pose, twist[..., 0], twist[..., 1], age)
+
+    def measured_motion(self) -> FloatArray:
+        """Return v and w of the wheels as it reported them, and its age [s], shape (..., 3)."""
+        reading = self._odometry.reading
+        age = np.broadcast_to(self._time - reading.time, self.pose.shape[:-1])
+        return np.concatenate([reading.twist, age[..., None]], axis=-1)
 
     def _delayed(self, command: FloatArray) -> FloatArray:
         """Return the command whose delay is over by now."""
@@ -78,20 +100,18 @@ def within_limits(command: FloatArray, plant: PlantSettings) -> FloatArray:
 
 
 def drive(
-    velocity: FloatArray, wanted: FloatArray, dt: float, plant: PlantSettings
+    velocity: FloatArray, wanted: FloatArray, dt: float, lag: FloatArray, limit: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the wheels' mean velocity over a step, and the one at its end, shape (..., 2) each.
 
     `velocity` and `wanted` are [v, w] at the beginning and as commanded, shape (..., 2); the step
-    has a length dt > 0 [s]. The exact solution of d(velocity)/dt = clip((wanted - velocity) / lag,
-    -limit, limit): a ramp while the gap is large, then the first-order response. With the mean, the
-    distance of a straight drive is exact as well.
+    has a length dt > 0 [s]; lag [s] and limit of acceleration are those of v and of w, shape (2,).
+    The exact solution of d(velocity)/dt = clip((wanted - velocity) / lag, -limit, limit): a ramp
+    while the gap is large, then the first-order response. With the mean, the distance of a straight
+    drive is exact as well.
     """
-    lag = plant.velocity_lag
-    linear = min(plant.max_linear_accel, plant.friction * _GRAVITY)
-    limit = np.array([linear, plant.max_angular_accel])
-    bounded = np.isfinite(limit)
-    if lag == 0.0 and not bounded.any():
+    bounded, lags = np.isfinite(limit), lag > 0.0
+    if not (lags.any() or bounded.any()):
         return wanted, wanted
     gap = velocity - wanted
     slope = np.where(bounded, limit, 1.0)
@@ -99,19 +119,18 @@ def drive(
     ramp = np.clip((np.abs(gap) - reach) / slope, 0.0, dt)  # [s]
     after_ramp = gap - np.sign(gap) * slope * ramp
     rest = dt - ramp
-    area = 0.5 * ramp * (gap + after_ramp)
-    if lag > 0.0:
-        fade = np.exp(-rest / lag)
-        area = area - after_ramp * lag * np.expm1(-rest / lag)
-    else:
-        fade = np.where(rest > 0.0, 0.0, 1.0)
-    mean_gap = area / dt
-    return wanted + mean_gap, wanted + fade * after_ramp
+    exponent = -rest / np.where(lags, lag, 1.0)
+    area = 0.5 * ramp * (gap + after_ramp) - after_ramp * lag * np.expm1(exponent)
+    fade = np.where(lags, np.exp(exponent), rest <= 0.0)
+    return wanted + area / dt, wanted + fade * after_ramp
 
 
 def on_the_ground(wheels: FloatArray, plant: PlantSettings) -> FloatArray:
-    """Return how the robot moves with its wheels' velocities, shape (..., 2): slip and friction."""
+    """Return how the robot moves with its wheels' velocities, shape (..., 2)."""
     moved = wheels
+    if plant.bias or plant.gains != (1.0, 1.0):
+        v, w = plant.model.motion(wheels[..., 0], wheels[..., 1])
+        moved = np.stack([v, w], axis=-1)
     if plant.linear_slip > 0.0 or plant.angular_slip > 0.0:
         moved = moved * np.array([1.0 - plant.linear_slip, 1.0 - plant.angular_slip])
     if math.isfinite(plant.friction):

@@ -12,7 +12,6 @@ import numpy as np
 
 from adp_path_follower.cli.options import (
     collect_starts,
-    load_simulator,
     out_option,
     progress_bar,
     settings_options,
@@ -26,8 +25,10 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.study.comparison.controllers import known_controllers
+from adp_path_follower.core.settings.robot import ROBOT_MODELS
+from adp_path_follower.study.comparison.controllers import PEERS, known_controllers
 from adp_path_follower.study.simulation.simulate import read_starts, without_nodes
+from sim_unicycle.settings import SimulatorSettings
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.comparison.compare import Comparison, Outcome
@@ -58,8 +59,7 @@ _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.i
 def compare(
     params: FilePath | None,
     assignments: tuple[str, ...],
-    sim_params: FilePath | None,
-    sim_assignments: tuple[str, ...],
+    simulator: SimulatorSettings,
     path_names: tuple[str, ...],
     starts: tuple[tuple[float, float, float], ...],
     starts_file: FilePath | None,
@@ -81,9 +81,11 @@ def compare(
     The headline:       adp compare --unlimited
     With limits, fast:  adp compare --controllers adp,lqr,regulated_pure_pursuit
     Before a bend:      adp compare --unlimited --start-arc-length 15.53
-    A real robot:       adp compare --sim-set velocity_lag=0.1
+    A real robot:       adp compare --robot turtlebot4 --params turtlebot4
 
-    With --sim-set, all see the same noise, and J* stays the ideal robot's.
+    With --robot, all see the same noise, J* stays the ideal robot's, and eight of the starts are
+    run. Peers come as published and on our estimator and model (lqr+learned), adp with each model
+    (ideal, learned, given). --controllers takes such names, too.
 
     Exit code 1 if some start has no known optimum; it is named, and counts in all but J/J*.
     """
@@ -92,15 +94,19 @@ def compare(
             click.echo(f"{name:30} {description}")
         return
     names = list(known_controllers())
+    plant, faults = without_nodes(simulator)
+    if not plant.ideal:
+        own = [f"adp+{model}" for model in ROBOT_MODELS]
+        names = [*own, *PEERS, *(f"{name}+learned" for name in PEERS)]
     if controllers is not None:
         names = [name.strip() for name in controllers.split(",")]
     changes = (*_UNLIMITED, *assignments) if unlimited else assignments
     settings = load_settings(Settings, "path_follower", params, changes)
-    plant, faults = without_nodes(load_simulator(sim_params, sim_assignments))
     if starts or starts_file is not None:
         errors = collect_starts(starts, starts_file)
     else:
-        errors = read_starts()
+        # A robot's model drives one run at a time, which takes long.
+        errors = read_starts()[:: 5 if any("+" in name for name in names) else 1]
     paths = {name: named_path(name, settings.path) for name in path_names or ("lissajous",)}
     problems = []
     with output_directory(directory, keep=True):
@@ -142,9 +148,8 @@ def _table(found: Comparison) -> str:
     lines = [
         f"{found.path_name}, {len(found.starts)} starts"
         + (f", J* known of {known}" if known < len(found.starts) else ""),
-        "                                    J/J*                            settled  effort"
-        "   cross-track [mm]   per step",
-        "controller                     median      p95      max  failed   in [s]  ∫uᵀRu"
+        f"{'J/J*':>48}                            settled  effort   cross-track [mm]   per step",
+        "controller                             median      p95      max  failed   in [s]  ∫uᵀRu"
         "       RMS      max       [ms]",
     ]
     lines += [_line(item) for item in sorted(found.outcomes, key=_rank)]
@@ -157,7 +162,7 @@ def _line(item: Outcome) -> str:
     """Return the table's line of one controller."""
     ratios = "".join(_ratio(item.quantile(share)) for share in (0.5, 0.95, 1.0))
     return (
-        f"{item.name:29}{ratios}{int(item.failed.sum()):8d}"
+        f"{item.name:37}{ratios}{int(item.failed.sum()):8d}"
         + _number(_median(item.settling_time), 9, 2)
         + _number(_median(item.effort[~item.failed]), 8, 3)
         + _number(1e3 * item.cross_track_rms, 10, 2)

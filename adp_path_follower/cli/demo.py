@@ -11,7 +11,6 @@ import click
 import numpy as np
 
 from adp_path_follower.cli.options import (
-    load_simulator,
     out_option,
     path_option,
     settings_options,
@@ -48,8 +47,7 @@ if TYPE_CHECKING:
 def demo(
     params: FilePath | None,
     assignments: tuple[str, ...],
-    sim_params: FilePath | None,
-    sim_assignments: tuple[str, ...],
+    simulator: SimulatorSettings,
     path_name: str,
     directory: FilePath,
     duration: float,
@@ -70,7 +68,6 @@ def demo(
     A bad day, in real time:         adp demo --sim-set fault_script=bad_day
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
-    simulator = load_simulator(sim_params, sim_assignments)
     read_fault_script(simulator.simulation.fault_script)
     path = named_path(path_name)
     require("adp demo", "jazzy")

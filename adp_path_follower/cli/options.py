@@ -1,6 +1,7 @@
 """Options that several commands share: the same names everywhere."""
 
 import contextlib
+import functools
 import sys
 from collections.abc import Callable, Iterator
 from datetime import datetime
@@ -15,6 +16,7 @@ from adp_path_follower.core.path.library import PATH_HELP
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import parameter_file
 from adp_path_follower.study.simulation.simulate import PAPER_START, read_starts
+from sim_unicycle.robots import with_robot
 from sim_unicycle.settings import SimulatorSettings
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -59,26 +61,44 @@ def settings_options(command: Command) -> Command:
 
 
 def simulator_options(command: Command) -> Command:
-    """Add --sim-params and --sim-set."""
-    command = click.option(
+    """Add --robot, --sim-params and --sim-set, which the command gets as `simulator`.
+
+    Raises FileError or SettingsError for settings of the simulator that cannot be.
+    """
+
+    @functools.wraps(command)
+    def simulating(
+        robot: str | None,
+        sim_params: FilePath | None,
+        sim_assignments: tuple[str, ...],
+        **options: Any,
+    ) -> Any:
+        named = () if robot is None else (f"robot={robot}",)
+        settings = load_settings(
+            SimulatorSettings, "unicycle_sim", sim_params, (*named, *sim_assignments), with_robot
+        )
+        return command(simulator=settings, **options)
+
+    found = click.option(
         "--sim-set",
         "sim_assignments",
         metavar="NAME=VALUE",
         multiple=True,
         help="Change one parameter of the simulated robot, as in --sim-set velocity_lag=0.1 or "
         "--sim-set fault_script=push; may be given several times.",
-    )(command)
-    return click.option(
+    )(simulating)
+    found = click.option(
         "--sim-params",
         type=_PARAMETERS,
         metavar="FILE",
         help="Parameter file with a section for unicycle_sim: how the simulated robot is.",
-    )(command)
-
-
-def load_simulator(file: FilePath | None, assignments: tuple[str, ...]) -> SimulatorSettings:
-    """Return the simulator's settings of --sim-params and --sim-set; FileError or SettingsError."""
-    return load_settings(SimulatorSettings, "unicycle_sim", file, assignments)
+    )(found)
+    return click.option(
+        "--robot",
+        metavar="NAME|FILE",
+        help="Simulate this robot: ideal, turtlebot4, turtlebot3_burger, turtlebot3_waffle_pi, "
+        "jackal, husky or late, or a file that `adp identify` wrote.",
+    )(found)  # type: ignore[return-value]
 
 
 def topic_options(command: Command) -> Command:

@@ -10,7 +10,6 @@ import numpy as np
 from adp_path_follower.cli.options import (
     FILE,
     collect_starts,
-    load_simulator,
     path_option,
     progress_bar,
     settings_options,
@@ -38,7 +37,7 @@ from adp_path_follower.study.simulation.simulate import (
 from adp_path_follower.study.simulation.simulate import (
     simulate as run_simulation,
 )
-from sim_unicycle.settings import PlantSettings
+from sim_unicycle.settings import PlantSettings, SimulatorSettings
 
 _ROWS_SHOWN = 20
 
@@ -73,8 +72,7 @@ _ROWS_SHOWN = 20
 def simulate(
     params: FilePath | None,
     assignments: tuple[str, ...],
-    sim_params: FilePath | None,
-    sim_assignments: tuple[str, ...],
+    simulator: SimulatorSettings,
     path_name: str,
     starts: tuple[tuple[float, float, float], ...],
     starts_file: FilePath | None,
@@ -102,7 +100,7 @@ def simulate(
         adp simulate --sim-set command_delay=0.05 --sim-set fault_script=push
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
-    plant, faults = without_nodes(load_simulator(sim_params, sim_assignments))
+    plant, faults = without_nodes(simulator)
     route = named_route(path_name, settings.path)
     errors = collect_starts(starts, starts_file)
     if not is_plain(route):

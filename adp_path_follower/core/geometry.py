@@ -107,12 +107,12 @@ def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
-def advance_pose(pose: FloatArray, linear: Number, angular: Number, dt: float) -> FloatArray:
+def advance_pose(pose: FloatArray, linear: Number, angular: Number, dt: Number) -> FloatArray:
     """Return poses [x, y, theta] after a constant twist was held for a time, shape (..., 3).
 
     Exact for the unicycle x' = v cos(theta), y' = v sin(theta), theta' = w: the motion is an arc
     whose chord has the heading theta + w dt / 2 and the length v dt sinc(w dt / 2). The velocities
-    v [m/s] and w [rad/s] have shape (...), dt is in seconds.
+    v [m/s] and w [rad/s] have shape (...), dt [s] that too, or none.
     """
     half_turn, distance = angular * (0.5 * dt), linear * dt
     chord: FloatArray = np.multiply(distance, sinc(half_turn))

@@ -12,6 +12,11 @@ for wheels of another size or distance than the firmware believes, and of two si
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TypeVar
+
+from adp_path_follower.core.geometry import FloatArray
+
+_Velocity = TypeVar("_Velocity", float, FloatArray)
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,8 @@ class RobotModel:
             and (abs(self.bias) <= 1.0)
         )
 
-    def motion(self, v: float, w: float) -> tuple[float, float]:
-        """Return how the robot moves [m/s, rad/s] with the wheels' velocities."""
+    def motion(self, v: _Velocity, w: _Velocity) -> tuple[_Velocity, _Velocity]:
+        """Return how the robot moves [m/s, rad/s] with the wheels' velocities, any shape."""
         return self.linear_gain * v, self.angular_gain * w + self.bias * v
 
     def wheels(self, v: float, w: float) -> tuple[float, float]:

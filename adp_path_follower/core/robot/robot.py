@@ -38,6 +38,18 @@ def model_of(settings: Settings) -> RobotModel:
     )
 
 
+def settings_of(model: RobotModel) -> dict[str, object]:
+    """Return the settings that describe a model, as `robot_model: given` takes them."""
+    return {
+        "robot_model": "given",
+        "actuation_delay": model.delay,
+        "robot_lags": (model.linear_lag, model.angular_lag),
+        "robot_ramp": model.ramp,
+        "robot_gains": (model.linear_gain, model.angular_gain),
+        "robot_bias": model.bias,
+    }
+
+
 class Robot:
     """Tells the controller where the robot will be, and the robot what makes it go there."""
 

@@ -1,7 +1,7 @@
 """ROS parameter files: settings from YAML and ``NAME=VALUE``, and back to YAML."""
 
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import TypeVar
 
@@ -25,11 +25,16 @@ ROS_PREFIXES = ("qos_overrides.",)
 
 
 def load_settings(
-    tree: type[Tree], node: str, file: FilePath | None = None, assignments: Iterable[str] = ()
+    tree: type[Tree],
+    node: str,
+    file: FilePath | None = None,
+    assignments: Iterable[str] = (),
+    complete: Callable[[Mapping[str, object]], Mapping[str, object]] = dict,
 ) -> Tree:
     """Return a tree of settings from a parameter file and ``NAME=VALUE`` assignments, which win.
 
-    Without a file the defaults count, of a file the node's sections. Raises FileError for a file
+    Without a file the defaults count, of a file the node's sections; `complete` adds to the values
+    of both. Raises FileError for a file
     that cannot be read or has none for this node, SettingsError for a setting that is unknown, of
     the wrong type or out of range.
     """
@@ -38,7 +43,7 @@ def load_settings(
         name, value = parse_assignment(assignment)
         given[name] = value
     try:
-        return build(tree, given)
+        return build(tree, complete(given))
     except SettingsError as error:
         raise SettingsError(f"{_place(file, str(error))}{error}") from None
 

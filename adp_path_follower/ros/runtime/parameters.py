@@ -1,6 +1,6 @@
 """A settings tree as ROS parameters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -26,14 +26,18 @@ from adp_path_follower.core.settings.schema import (
 Tree = TypeVar("Tree")
 
 
-def declare_settings(node: Node, tree: type[Tree]) -> Tree:
+def declare_settings(
+    node: Node,
+    tree: type[Tree],
+    complete: Callable[[Mapping[str, object]], Mapping[str, object]] = dict,
+) -> Tree:
     """Declare every setting of a tree as a parameter; SettingsError for a wrong or unknown one.
 
-    The node must have ``automatically_declare_parameters_from_overrides=True`` to see unknown
-    names.
+    `complete` adds to the values that were given. The node must have
+    ``automatically_declare_parameters_from_overrides=True`` to see unknown names.
     """
     given = own_values(list(node.get_parameters_by_prefix("").values()))
-    settings = build(tree, given)
+    settings = build(tree, complete(given))
     values = flatten(settings)
     for field in setting_fields(tree):
         if node.has_parameter(field.name):

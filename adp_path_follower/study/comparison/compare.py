@@ -13,6 +13,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.speed_profile import speed_varies
+from adp_path_follower.core.robot.model import IDEAL
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.comparison.controllers import Contender, contenders
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
@@ -125,7 +126,7 @@ def compare(
     `progress` takes the fraction done. Raises AdpError for an unknown controller, no start, or a
     speed that varies along the path, which only some of the controllers know.
     """
-    chosen = contenders(settings, names)
+    chosen = contenders(settings, names, plant.model if plant else IDEAL)
     if speed_varies(path, settings):
         raise AdpError(
             f"v_des varies along {path_name}, which the optimum and the peers do not know: set "

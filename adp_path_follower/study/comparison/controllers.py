@@ -19,9 +19,12 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.registry import Registry, load_plugins
+from adp_path_follower.core.robot.model import IDEAL, RobotModel
+from adp_path_follower.core.robot.robot import settings_of
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.core.settings.schema import build, flatten, setting_fields
+from adp_path_follower.core.settings.robot import ROBOT_MODELS
+from adp_path_follower.core.settings.schema import build, flatten, setting_fields, update
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.comparison.peers.lapierre_soetanto import (
     LapierreSoetanto,
@@ -187,23 +190,38 @@ class Contender:
     rate: float  # control steps per second [Hz]
 
 
-def contenders(settings: Settings, names: Sequence[str]) -> list[Contender]:
-    """Return the controllers of these names; raise AdpError for an unknown one."""
-    found = []
-    for name in names:
-        if name in ("adp", "adp_cold"):
-            mode = "warm" if name == "adp" else "cold"
-            found.append(Contender(name, settings, PathFollower, mode, _RATE))
-        elif name == "paper":
-            found.append(Contender(name, _paper_laws(settings), PathFollower, "cold", _RATE))
-        elif (peer := PEERS.get(name) or OWN_PEERS.find(name)) is not None:
-            rate = peer.control_rate or _RATE
-            found.append(Contender(name, settings, peer.factory, "frozen", rate))
-        else:
-            raise AdpError(
-                f"unknown controller '{name}': choose from {', '.join(known_controllers())}"
-            )
-    return found
+def contenders(
+    settings: Settings, names: Sequence[str], model: RobotModel = IDEAL
+) -> list[Contender]:
+    """Return the controllers of these names; raise AdpError for an unknown one.
+
+    NAME+ideal, NAME+learned and NAME+given drive on our estimator with that `robot_model`, of which
+    `model` is the given one. By the plain name only adp and adp_cold take the settings' own.
+    """
+    return [_contender(name, settings, model) for name in names]
+
+
+def _contender(name: str, settings: Settings, model: RobotModel) -> Contender:
+    controller, plus, kind = name.partition("+")
+    if plus and kind not in ROBOT_MODELS:
+        raise AdpError(
+            f"controller '{name}' has the robot model '{kind}', but must have one of "
+            f"{', '.join(ROBOT_MODELS)}"
+        )
+    if plus or not controller.startswith("adp"):
+        given = settings_of(model) if kind == "given" else {}
+        settings = update(settings, {**given, "robot_model": kind or "ideal"})
+    if controller in ("adp", "adp_cold"):
+        mode = "warm" if controller == "adp" else "cold"
+        return Contender(name, settings, PathFollower, mode, _RATE)
+    if controller == "paper":
+        return Contender(name, _paper_laws(settings), PathFollower, "cold", _RATE)
+    peer = PEERS.get(controller) or OWN_PEERS.find(controller)
+    if peer is None:
+        raise AdpError(
+            f"unknown controller '{controller}': choose from {', '.join(known_controllers())}"
+        )
+    return Contender(name, settings, peer.factory, "frozen", peer.control_rate or _RATE)
 
 
 def _paper_laws(settings: Settings) -> Settings:
@@ -214,6 +232,6 @@ def _paper_laws(settings: Settings) -> Settings:
     kept = {
         name: value
         for name, value in task.items()
-        if groups[name] in ("target", "cost", "limits", "motion")
+        if groups[name] in ("target", "cost", "limits", "motion", "robot")
     }
     return build(Settings, {**printed, **kept})

@@ -177,6 +177,7 @@ def _simulated(
     """Return the simulator's parameters that are not the default, and the controller's for them."""
     plain = flatten(SimulatorSettings())
     values = {name: value for name, value in flatten(settings).items() if value != plain[name]}
+    values.pop("robot", None)  # the others are its values already
     faults = settings.simulation.fault_script or settings.message_faults != MessageFaultSettings()
     # In real time the robot waits for its first command, from which the duration counts.
     values["duration"] = duration + _READY_TIMEOUT * bool(faults)

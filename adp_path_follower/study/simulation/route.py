@@ -66,7 +66,8 @@ def _run(
     costs: dict[int, float] = {}
     highest, goal_time, backwards = np.zeros(2), math.inf, 0.0
     for step in range(round(duration * rate) + 1):
-        output = driver.step(robot.measured_pose(), round((step + 1) * 1e9 * period))
+        pose, motion = robot.present_pose(), robot.measured_motion()
+        output = driver.step(pose, round((step + 1) * 1e9 * period), motion)
         assert driver.follower is not None  # the step has made one
         costs[driver.segment] = float(driver.follower.cost)
         if driver.at_goal:

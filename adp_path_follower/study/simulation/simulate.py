@@ -23,6 +23,7 @@ from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import flatten, setting_fields, update
 from adp_path_follower.resources import FORTY_STARTS
+from adp_path_follower.study.simulation.modelled import ModelledController
 from adp_path_follower.study.simulation.trajectories import (
     Trajectories,
     TrajectoryRecorder,
@@ -126,6 +127,8 @@ def simulate(
     `learning`, of `PathFollower` only, is "cold" with the weights of the settings, "warm" if it
     first learns at the start until they settle, or "frozen". The robot is ideal by default; run
     number n has the seed of `plant` plus n, and entries of `faults` about messages have no effect.
+    Poses that are late are moved on to now. Only a robot that is not ideal, or has faults, is
+    driven by `robot_model`, one run at a time.
     `record` keeps trajectories: 16 bytes for each weight of each step of each run. `observe` is
     called at every control step, with which of the starts it is about, `progress` with the fraction
     that is done.
@@ -139,6 +142,10 @@ def simulate(
     if learning == "frozen":
         settings = update(settings, {"learning": False})
     size = _block_size(settings, path, duration) if at_once is None else at_once
+    ideal = (plant or PlantSettings()).ideal and not (faults and faults.entries)
+    modelled, model_settings = not ideal and settings.robot.robot_model != "ideal", settings
+    if modelled:
+        size, settings = 1, update(settings, {"actuation_delay": 0.0})
     steps, period = round(duration * rate), 1.0 / rate
     recorder = TrajectoryRecorder(len(errors), steps + 1, period) if record else None
     frame = path.frame(np.full(1, start_arc_length)).pose
@@ -147,10 +154,12 @@ def simulate(
         """Return the outcome of a block; nothing else of it is kept."""
         block = errors[first : first + size]
         robot = Unicycle(pose_in_frame(block, frame), plant or PlantSettings(), first)
-        follower = controller(settings, path, np.full(len(block), start_arc_length))
+        places = np.full(len(block), start_arc_length)
+        follower = controller(settings, path, places)
         if learning == "warm" and isinstance(follower, PathFollower):
             ahead = duration * settings.target.desired_speed + _WARM_MARGIN
             follower.learn_at_rest(robot.pose, ahead)
+        chosen = ModelledController(model_settings, follower, places) if modelled else follower
 
         def note(step: int, output: ControlOutput, pose: FloatArray) -> None:
             if recorder is not None:
@@ -162,7 +171,7 @@ def simulate(
             if progress is not None:
                 progress((first + fraction * len(block)) / len(errors))
 
-        loop = _ClosedLoop(settings, path, block, follower, robot, faults)
+        loop = _ClosedLoop(settings, path, block, chosen, robot, faults)
         return loop.run(steps, period, note, report)
 
     results = [outcome(first) for first in range(0, len(errors), size)]
@@ -215,7 +224,7 @@ class _ClosedLoop:
         settings: Settings,
         path: Path,
         starts: FloatArray,
-        controller: Controller,
+        controller: Controller | ModelledController,
         robot: Unicycle,
         faults: FaultScript | None,
     ) -> None:
@@ -241,8 +250,12 @@ class _ClosedLoop:
         cost, effort = np.zeros(count), np.zeros(count)
         step_times = np.zeros(steps + 1)
         for step in range(steps + 1):
+            pose, motion = self._robot.present_pose(), self._robot.measured_motion()
             begun = time.perf_counter()
-            output = self._controller.step(self._robot.measured_pose(), period)
+            if isinstance(self._controller, ModelledController):
+                output = self._controller.step(pose, period, motion)
+            else:
+                output = self._controller.step(pose, period)
             step_times[step] = time.perf_counter() - begun
             distance = np.sqrt(np.einsum("bi,bi->b", output.error, output.error))
             command = self._checked_command(output, distance)

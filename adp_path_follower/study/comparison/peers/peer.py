@@ -44,6 +44,11 @@ class PeerController(ABC):
             curvature=frame.curvature,
         )
 
+    def lead(self, pose: FloatArray, ahead: FloatArray, time: float) -> None:
+        """Let the target move on before the first step, as `PathFollower.lead`."""
+        self.target.move(pose, 0.0)
+        self.target.move(ahead, time)
+
     @abstractmethod
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray

@@ -27,7 +27,8 @@ from adp_path_follower.study.simulation.simulate import (
 from adp_path_follower.study.sweeps.request.entries import errors_in, section
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
 from sim_unicycle.fault_script import FaultScript
-from sim_unicycle.settings import PlantSettings, SimulatorSettings
+from sim_unicycle.robots import simulator_settings
+from sim_unicycle.settings import PlantSettings
 
 CONDITION_ENTRIES = ("params", "set", "starts", "robots", "noise_seeds")
 FORTY = "forty"
@@ -39,7 +40,10 @@ _MOST_STARTS = 100_000
 _MOST_SEED = 2**31 - 1
 _MOST_SEEDS = 100_000
 _FARTHEST = 1e9  # [m]
-_NOISY = ("position_noise", "heading_noise", "position_drift", "heading_drift", "odometry_drop")
+_NOISY = (
+    *("position_noise", "heading_noise", "encoder_noise", "position_drift", "heading_drift"),
+    *("odometry_drop", "odometry_jitter"),
+)
 _COSTS = FORTY_STARTS.with_name("forty_starts_optimum.csv")
 _PATHS = ("lissajous", "line", "circle:0.5", "circle:1.0")
 _LONG_ENOUGH = 15.0  # [s], after which J grows by less than 1e-8
@@ -120,7 +124,10 @@ class Robot:
         """Return whether the seed makes a difference."""
         entries: list[Mapping[str, object]] = [vars(self.plant)]
         entries += [entry.values for entry in self.faults.entries]
-        return any(bool(values.get(name, 0.0)) for values in entries for name in _NOISY)
+        silent = vars(PlantSettings())
+        return any(
+            values.get(name, silent[name]) != silent[name] for values in entries for name in _NOISY
+        )
 
 
 @dataclass(frozen=True)
@@ -219,7 +226,7 @@ def _robots(entries: Mapping[str, object]) -> tuple[Robot, ...]:
             values = section(entries, name) if entries[name] is not None else {}
             if "seed" in values:
                 raise SettingsError("remove its seed, and set noise_seeds")
-            found.append(Robot(name, *without_nodes(build(SimulatorSettings, values))))
+            found.append(Robot(name, *without_nodes(simulator_settings(values))))
     return tuple(found) or (Robot("ideal", PlantSettings(), FaultScript()),)
 
 
