@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import click
 
 from adp_path_follower.cli.options import FILE, cluster_options, progress_bar, resumable
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import require
 
-if TYPE_CHECKING:  # Dask and pyarrow are loaded when there is something to run
-    from adp_path_follower.study.sweeps.request.request import Sweep
+if TYPE_CHECKING:  # Dask and Optuna are loaded when there is something to run
+    from adp_path_follower.study.sweeps.request.conditions import Conditions
+    from adp_path_follower.study.sweeps.results import Results
+    from adp_path_follower.study.sweeps.workers.cluster import Workers
+
+_TIMED = 3  # combinations of a sweep that are timed for --dry-run
 
 
 @click.command()
@@ -38,64 +45,101 @@ def sweep(
     """
     require("adp sweep", "sweep")
     from adp_path_follower.study.sweeps.request.files import read_sweep
-    from adp_path_follower.study.sweeps.workers.plan import check_first_runs
+    from adp_path_follower.study.sweeps.results import results
+    from adp_path_follower.study.sweeps.study import sweep_study
+    from adp_path_follower.study.sweeps.workers.folder import PartsFolder
+    from adp_path_follower.study.sweeps.workers.runs import check_paths
 
     asked = read_sweep(file)
-    check_first_runs(asked)
+    count = asked.combinations
+    check_paths(asked.conditions, asked.settings(0))
     if dry_run:
-        _say_how_long(asked, scheduler, workers)
+        some = [asked.settings(number) for number in range(0, count, -(-count // _TIMED))]
+        say_how_long(asked.conditions, some, count, asked.parts, scheduler, workers)
         return
-    if directory is None:
-        raise click.UsageError("give a folder for the results: --out DIR")
-    _run(asked, file.stem, directory, scheduler, workers)
-
-
-def _say_how_long(asked: Sweep, scheduler: str | None, workers: int | None) -> None:
-    from adp_path_follower.study.sweeps.workers.plan import estimate, in_words
-
-    conditions = asked.conditions
-    click.echo(
-        f"{asked.runs:,} runs of {conditions.run.duration:g} s: {asked.combinations:,} "
-        f"combinations of settings × {len(conditions.paths)} paths × "
-        f"{len(conditions.robots)} robots × {len(conditions.noise_seeds)} noise seeds × "
-        f"{len(conditions.starts)} starts"
-    )
-    found = estimate(asked, scheduler, workers)
-    click.echo(
-        f"about {in_words(found.seconds)} on {found.workers} "
-        f"{'workers of the scheduler' if scheduler else 'processes'}: a run takes "
-        f"{found.seconds_each:.3f} s, measured here on a few of them"
-    )
-
-
-def _run(
-    asked: Sweep, title: str, directory: FilePath, scheduler: str | None, workers: int | None
-) -> None:
-    from adp_path_follower.study.sweeps.overview import overview, summary_text
-    from adp_path_follower.study.sweeps.page import write_results
-    from adp_path_follower.study.sweeps.workers import cluster
-    from adp_path_follower.study.sweeps.workers.parts_folder import PartsFolder
-    from adp_path_follower.study.sweeps.workers.plan import Plan, in_words
-
     begun = time.monotonic()
-    plan = Plan(asked)
-    with PartsFolder(directory, plan) as folder:
+    with PartsFolder(needed(directory), asked) as folder:
         missing = folder.missing()
-        fresh = sum(len(plan.runs_of(number)) for number in missing)
+        fresh = sum(len(asked.runs_of(part)) for part in missing)
         if fresh < asked.runs:
             click.echo(f"{asked.runs - fresh:,} of {asked.runs:,} runs are there already", err=True)
         if missing:
-            with (
-                resumable(),
-                cluster.workers(scheduler, workers) as found_workers,
-                progress_bar(f"simulating {fresh:,} runs") as progress,
-            ):
-                folder.run(missing, found_workers, progress)
-        found = overview(asked, folder.combinations())
+            with at_work(f"simulating {fresh:,} runs", scheduler, workers) as (found, progress):
+                folder.run(missing, found, progress)
+        tell(results(sweep_study(asked, folder.scores()), asked), file.stem, folder.directory)
     spent = time.monotonic() - begun
-    click.echo(summary_text(found))
-    write_results(found, title, directory)
+    click.echo(f"{fresh:,} runs in {in_words(spent)}, {fresh / spent:.1f} a second")
+
+
+def needed(directory: FilePath | None) -> FilePath:
+    """Return the folder of --out; raise UsageError if it is not given."""
+    if directory is None:
+        raise click.UsageError("give a folder for the results: --out DIR")
+    return directory
+
+
+def say_how_long(
+    conditions: Conditions,
+    some: Sequence[Settings],
+    count: int,
+    at_once: int,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    """Say how many runs there are and how long they take, measured with some of the settings.
+
+    `count` is the number of combinations of settings, `at_once` how many workers they can use.
+    """
+    from adp_path_follower.study.sweeps.workers import cluster
+    from adp_path_follower.study.sweeps.workers.runs import seconds_each
+
+    runs = count * conditions.runs
     click.echo(
-        f"\n{fresh:,} runs in {in_words(spent)}, {fresh / spent:.1f} a second. In {directory}: "
-        f"report.html, runs/ (Parquet){', best.yaml' if found.best is not None else ''}"
+        f"{runs:,} runs of {conditions.run.duration:g} s: {count:,} combinations of settings × "
+        f"{len(conditions.paths)} paths × {len(conditions.robots)} robots × "
+        f"{len(conditions.noise_seeds)} noise seeds × {len(conditions.starts)} starts"
     )
+    each = seconds_each(conditions, some)
+    with cluster.workers(scheduler, workers) as found:
+        at_once = min(at_once, found.count)
+    click.echo(
+        f"about {in_words(each * runs / at_once)} on {at_once} "
+        f"{'workers of the scheduler' if scheduler else 'processes'}: a run takes {each:.3f} s, "
+        "measured here on a few of them"
+    )
+
+
+def in_words(seconds: float) -> str:
+    """Return a time in seconds, minutes or hours."""
+    if seconds < 90.0:
+        return f"{max(1.0, seconds):.0f} s"
+    if seconds < 5400.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"
+
+
+@contextlib.contextmanager
+def at_work(
+    label: str, scheduler: str | None, workers: int | None
+) -> Iterator[tuple[Workers, Callable[[float], None]]]:
+    """Yield workers for work that can be resumed, and what takes the fraction done."""
+    from adp_path_follower.study.sweeps.workers import cluster
+
+    with (
+        resumable(),
+        cluster.workers(scheduler, workers) as found,
+        progress_bar(label) as progress,
+    ):
+        yield found, progress
+
+
+def tell(found: Results, title: str, directory: FilePath) -> None:
+    """Print results and write them into a folder; raise FileError if they cannot be written."""
+    from adp_path_follower.study.sweeps.page import write_sweep_page
+    from adp_path_follower.study.sweeps.results import results_text, write_results
+
+    click.echo(results_text(found))
+    write_results(found, title, directory)
+    write_sweep_page(found, title, directory / "report.html")
+    best = "best.yaml, " if found.best is not None else ""
+    click.echo(f"\nIn {directory}: {best}report.html, findings.json")

@@ -9,14 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adp_path_follower.cli.options import (
-    FILE,
-    cluster_options,
-    progress_bar,
-    resumable,
-    settings_options,
-)
-from adp_path_follower.cli.outputs import write_json
+from adp_path_follower.cli.options import FILE, cluster_options, settings_options
+from adp_path_follower.cli.sweep import at_work, in_words, needed, say_how_long, tell
 from adp_path_follower.extras import require
 
 if TYPE_CHECKING:  # Dask and Optuna are loaded when there is something to run
@@ -91,28 +85,11 @@ def tune(
         asked = dataclasses.replace(asked, search=search)
     title = str(file or params or "the default settings")
     if dry_run:
-        _say_how_long(asked, scheduler, workers)
+        trials, at_once = asked.search.trials, asked.search.at_once
+        before = [asked.conditions.settings]
+        say_how_long(asked.conditions, before, trials, at_once, scheduler, workers)
         return
-    if directory is None:
-        raise click.UsageError("give a folder for the results: --out DIR")
-    _run(asked, title, directory, storage, scheduler, workers)
-
-
-def _say_how_long(asked: Tuning, scheduler: str | None, workers: int | None) -> None:
-    from adp_path_follower.study.sweeps.workers.plan import estimate, in_words
-
-    sweep = asked.runs_with(asked.conditions.settings)
-    found = estimate(sweep, scheduler, workers)
-    at_once = min(found.workers, asked.search.at_once)
-    seconds = found.seconds_each * sweep.runs * asked.search.trials / at_once
-    click.echo(
-        f"{asked.search.trials:,} settings with {sweep.runs:,} runs of "
-        f"{asked.conditions.run.duration:g} s each: {asked.search.trials * sweep.runs:,} runs"
-    )
-    click.echo(
-        f"about {in_words(seconds)} on {at_once} processes: a run with the settings before takes "
-        f"{found.seconds_each:.3f} s, measured here on a few of them"
-    )
+    _run(asked, title, needed(directory), storage, scheduler, workers)
 
 
 def _run(
@@ -123,20 +100,12 @@ def _run(
     scheduler: str | None,
     workers: int | None,
 ) -> None:
-    from adp_path_follower.study.sweeps.findings import (
-        as_json,
-        findings,
-        findings_text,
-        write_findings,
-    )
+    from adp_path_follower.study.sweeps.results import results
     from adp_path_follower.study.sweeps.study import open_study, tried
     from adp_path_follower.study.sweeps.study import tune as run_tuning
-    from adp_path_follower.study.sweeps.workers import cluster
-    from adp_path_follower.study.sweeps.workers.parts_folder import OutputFolder
-    from adp_path_follower.study.sweeps.workers.plan import in_words
+    from adp_path_follower.study.sweeps.workers.folder import OutputFolder
 
-    begun = time.monotonic()
-    trials = asked.search.trials
+    begun, trials = time.monotonic(), asked.search.trials
     with OutputFolder(directory, "tune", asked.description()):
         place = storage or f"sqlite:///{(directory / 'study.db').absolute()}"
         study = open_study(asked, place, shared=storage is not None)
@@ -144,16 +113,8 @@ def _run(
         if there:
             click.echo(f"{there:,} of {trials:,} trials are there already", err=True)
         if there < trials:
-            with (
-                resumable(),
-                cluster.workers(scheduler, workers) as found_workers,
-                progress_bar(f"trying {trials:,} settings") as progress,
-            ):
-                run_tuning(study, asked, found_workers, progress)
-        found = findings(study, asked)
-        click.echo(findings_text(found))
-        files = write_findings(found, title, directory)
-        write_json(directory / "findings.json", as_json(found))
-    names = [*(file.name for file in files), "findings.json"]
-    click.echo(f"\nIn {directory}: {', '.join(names)}")
-    click.echo(f"\n{found.trials - there:,} trials in {in_words(time.monotonic() - begun)}")
+            with at_work(f"trying {trials:,} settings", scheduler, workers) as (found, progress):
+                run_tuning(study, asked, found, progress)
+        tell(results(study, asked), title, directory)
+        fresh = len(tried(study)) - there
+    click.echo(f"{fresh:,} trials in {in_words(time.monotonic() - begun)}")

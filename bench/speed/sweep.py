@@ -21,7 +21,6 @@ import psutil
 import pyarrow.parquet as pq
 
 from adp_path_follower.study.sweeps.request.files import read_sweep
-from adp_path_follower.study.sweeps.workers.plan import Plan
 
 DEFAULT = FilePath(__file__).parents[2] / "config" / "sweeps" / "twenty_thousand.yaml"
 
@@ -125,14 +124,14 @@ def main() -> None:
     parser.add_argument("--only", choices=("whole",), default=None)
     options = parser.parse_args()
     folder = options.folder or FilePath(tempfile.mkdtemp(prefix="adp_sweep_"))
-    plan = Plan(read_sweep(options.file))
-    runs = plan.sweep.runs
-    print(f"{runs:,} runs in {plan.parts} parts; results in {folder}", flush=True)
+    sweep = read_sweep(options.file)
+    runs = sweep.runs
+    print(f"{runs:,} runs in {sweep.parts} parts; results in {folder}", flush=True)
     whole(options.file, folder / "whole", runs)
     if options.only:
         return
-    with_killed_worker(options.file, folder / "worker", plan.parts)
-    killed_and_started_again(options.file, folder / "command", plan.parts)
+    with_killed_worker(options.file, folder / "worker", sweep.parts)
+    killed_and_started_again(options.file, folder / "command", sweep.parts)
     reference = table(folder / "whole")
     each_once = reference["run"] == list(range(runs))
     print(f"each run once: {each_once}")

@@ -1,23 +1,24 @@
-"""The results of a sweep: an HTML file that opens without network, and the best settings."""
+"""The page of a sweep or a tuning: figures and tables that open without network."""
 
 import html
 import itertools
 import math
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from optuna.trial import FrozenTrial
 
-from adp_path_follower import __version__
-from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.drawing.figure_style import COLORS
 from adp_path_follower.drawing.page import write_page
-from adp_path_follower.study.sweeps.overview import Overview, shown, write_settings
 from adp_path_follower.study.sweeps.request.conditions import WHERE_KNOWN
-from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
+from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES, UNSTABLE_SCORE
 from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
+from adp_path_follower.study.sweeps.results import Results, shown
+from adp_path_follower.study.sweeps.study import score_of
 
 _ROWS = 25
 _MOST_MAPS = 6
@@ -26,59 +27,40 @@ _MOST_POINTS = 3000  # that are drawn
 _HEIGHT = 420  # [px]
 
 
-def write_results(found: Overview, title: str, directory: FilePath) -> None:
-    """Write the page, and the best settings as a parameter file; may raise FileError."""
-    write_sweep_page(found, title, directory / "report.html")
-    best = directory / "best.yaml"
-    if found.best is None:
-        with output_to(best):
-            best.unlink(missing_ok=True)
-        return
-    scores = ", ".join(
-        f"{name} {found.scores[name][found.best]:.5g}" for name in found.sweep.objectives
-    )
-    comment = f"The best settings of {title} ({scores}), found by adp sweep {__version__}."
-    settings, values = found.sweep.settings(found.best), found.sweep.varied(found.best)
-    write_settings(best, settings, comment, values)
-
-
-def write_sweep_page(found: Overview, title: str, file: FilePath) -> None:
-    """Write the report of a sweep; raise FileError if it cannot be written."""
-    sweep = found.sweep
+def write_sweep_page(found: Results, title: str, file: FilePath) -> None:
+    """Write the page of a sweep or a tuning; raise FileError if it cannot be written."""
     figures = sweep_figures(found)
-    names = [item.name for item in sweep.variations]
     write_page(
         file,
         "sweep",
         {"figures": figures},
         title=title,
         found=found,
-        sweep=sweep,
-        names=names,
-        objectives=[OBJECTIVES[name] for name in sweep.objectives],
-        rows=[_row(found, names, int(number)) for number in found.ranked[:_ROWS]],
-        front=[_row(found, names, int(number)) for number in found.front[:_ROWS]],
+        conditions=found.request.conditions,
+        names=[item.name for item in found.request.variations],
+        objectives=[OBJECTIVES[name] for name in found.request.objectives],
+        rows=[_row(found, trial) for trial in found.stable[:_ROWS]],
+        front=[_row(found, trial) for trial in found.front[:_ROWS]],
         captions=[(key, *_caption(key, figures[key], found)) for key in figures],
         number=shown,
         where_known=WHERE_KNOWN,
     )
 
 
-def _row(found: Overview, names: list[str], number: int) -> list[str]:
-    values = found.sweep.varied(number)
-    scores = [f"{found.scores[name][number]:.5g}" for name in found.sweep.objectives]
-    return [*(shown(values[name]) for name in names), *scores]
+def _row(found: Results, trial: FrozenTrial) -> list[str]:
+    scores = score_of(trial).objectives
+    numbers = [f"{scores[name]:.5g}" for name in found.request.objectives]
+    return [*map(shown, found.values(trial).values()), *numbers]
 
 
-def _caption(key: str, figure: dict, found: Overview) -> tuple[str, str]:
-    first = found.sweep.objectives[0]
+def _caption(key: str, figure: dict, found: Results) -> tuple[str, str]:
     if key == "pareto":
-        second = found.sweep.objectives[1]
+        first, second = found.request.objectives[:2]
         return (
             "Pareto front",
             f"Each point is a combination of settings that is stable in all its runs: {first} "
             f"({OBJECTIVES[first].meaning}) against {second} ({OBJECTIVES[second].meaning}). No "
-            "point is better in both than a point of the front.",
+            "point is better in all objectives than a point of the front.",
         )
     layout, (name, _, caption) = figure["layout"], _measure(found)
     across = str(layout["xaxis"]["title"]["text"])
@@ -92,13 +74,13 @@ def _caption(key: str, figure: dict, found: Overview) -> tuple[str, str]:
     )
 
 
-def sweep_figures(found: Overview) -> dict[str, Any]:
+def sweep_figures(found: Results) -> dict[str, Any]:
     """Return key -> figure (data and layout), in the order of the page."""
     figures: dict[str, go.Figure] = {}
-    if len(found.sweep.objectives) > 1 and len(found.ranked):
+    if len(found.request.objectives) > 1 and found.stable:
         figures["pareto"] = _pareto(found)
     name, values, _ = _measure(found)
-    axes = _by_effect(found, values)
+    axes = [_Axis(item, found) for item in found.importance]
     if len(axes) == 1:
         figures["map_1"] = _curve(name, values, axes[0])
     pairs = sorted(itertools.combinations(range(len(axes)), 2), key=sum)[:_MOST_MAPS]
@@ -110,60 +92,45 @@ def sweep_figures(found: Overview) -> dict[str, Any]:
     return content
 
 
-def _measure(found: Overview) -> tuple[str, FloatArray, str]:
+def _measure(found: Results) -> tuple[str, FloatArray, str]:
     """Return the maps' name, values (C,) and caption: the first objective, else unstable runs."""
-    name = found.sweep.objectives[0]
-    if not len(found.ranked):
+    name = found.request.objectives[0]
+    shares = np.array([score_of(trial).unstable for trial in found.trials]) / (
+        found.request.conditions.runs
+    )
+    if not found.stable:
         return (
             "unstable runs",
-            found.shares_unstable,
+            shares,
             "Share of runs that are unstable, as no combination is stable in all its runs",
         )
-    values = np.where(found.unstable == 0, found.scores[name], math.nan)
     caption = f"{name} ({OBJECTIVES[name].meaning}) of the combinations that are stable in all runs"
-    return name, values, caption
+    return name, np.where(shares == 0.0, _objective(found.trials, name), math.nan), caption
+
+
+def _objective(trials: Sequence[FrozenTrial], name: str) -> FloatArray:
+    """Return an objective of each trial, NaN where a run is lost or never settles."""
+    values = np.array([score_of(trial).objectives[name] for trial in trials])
+    return np.where(values < UNSTABLE_SCORE, values, math.nan)
 
 
 class _Axis:
     """A variation in bins: one for each value, or stretches of a range."""
 
-    def __init__(self, item: Variation, found: Overview) -> None:
+    def __init__(self, item: Variation, found: Results) -> None:
         self.name = item.name
-        count = found.sweep.combinations
-        values = [found.sweep.varied(number)[item.name] for number in range(count)]
+        values = [found.values(trial)[item.name] for trial in found.trials]
         if isinstance(item, Listed):
             self.labels = [shown(value) for value in item.values]
-            place_of = {value: place for place, value in enumerate(item.values)}
-            self.bins = np.array([place_of[value] for value in values])
+            self.bins = np.array([item.values.index(value) for value in values])
             return
         numbers = np.array(values, dtype=float)
-        bins = max(2, min(_BINS, int(math.sqrt(count))))
+        bins = max(2, min(_BINS, int(math.sqrt(len(values)))))
         edges = np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, bins + 1)))
         edges = edges if len(edges) > 1 else np.repeat(edges, 2)  # one value only
         places = np.searchsorted(edges, numbers, side="right") - 1
         self.bins = np.clip(places, 0, len(edges) - 2)
         self.labels = [f"{low:.3g} to {high:.3g}" for low, high in itertools.pairwise(edges)]
-
-    def effect(self, score: FloatArray) -> float:
-        """Return the share of a score's variance that the bins of this axis explain."""
-        known = np.isfinite(score)
-        total = float(np.var(score[known])) if known.any() else 0.0
-        if not total:
-            return 0.0
-        mean = score[known].mean()
-        groups = [score[known & (self.bins == place)] for place in range(len(self.labels))]
-        between = sum(len(some) * (some.mean() - mean) ** 2 for some in groups if len(some))
-        return float(between / known.sum() / total)
-
-
-def _by_effect(found: Overview, score: FloatArray) -> list[_Axis]:
-    """Return the variations, the one that matters most to a score first."""
-    # Ranks, as a few combinations that are much worse would decide alone.
-    ranks = np.full(len(score), math.nan)
-    known = np.isfinite(score)
-    ranks[known] = np.argsort(np.argsort(score[known]))
-    axes = [_Axis(item, found) for item in found.sweep.variations]
-    return sorted(axes, key=lambda axis: -axis.effect(ranks))
 
 
 def _heat_map(name: str, score: FloatArray, first: _Axis, second: _Axis) -> go.Figure:
@@ -216,34 +183,38 @@ def _curve(name: str, score: FloatArray, axis: _Axis) -> go.Figure:
     return figure
 
 
-def _pareto(found: Overview) -> go.Figure:
+def _pareto(found: Results) -> go.Figure:
     """Return a figure of all stable combinations by the first two objectives, with the front."""
-    first, second = found.sweep.objectives[:2]
-    front, ranked = found.front, found.ranked
-    spread = np.linspace(0, len(ranked) - 1, min(len(ranked), _MOST_POINTS)).astype(int)
+    names = found.request.objectives[:2]
+    spread = np.linspace(0, len(found.stable) - 1, min(len(found.stable), _MOST_POINTS)).astype(int)
     figure = go.Figure()
-    for numbers, name, mode, color in (
-        (ranked[spread], "settings", "markers", "rgba(128,128,128,0.55)"),
-        (front, "Pareto front", "lines+markers", COLORS[1]),
+    for trials, name, mode, color in (
+        (
+            [found.stable[place] for place in spread],
+            "settings",
+            "markers",
+            "rgba(128,128,128,0.55)",
+        ),
+        (found.front, "Pareto front", "lines+markers", COLORS[1]),
     ):
         figure.add_scatter(
-            x=_nones(found.scores[first][numbers]),
-            y=_nones(found.scores[second][numbers]),
+            x=_nones(_objective(trials, names[0])),
+            y=_nones(_objective(trials, names[1])),
             mode=mode,
             name=name,
             line={"color": color, "shape": "hv"},
             marker={"size": 9 if mode != "markers" else 6, "color": color},
-            text=[_described(found, int(number)) for number in numbers],
+            text=[_described(found, trial) for trial in trials],
             hovertemplate="%{text}<br>%{x:.5g}, %{y:.5g}<extra></extra>",
         )
-    figure.update_xaxes(title_text=_title(first))
-    figure.update_yaxes(title_text=_title(second))
+    figure.update_xaxes(title_text=_title(names[0]))
+    figure.update_yaxes(title_text=_title(names[1]))
     figure.update_layout(height=_HEIGHT, showlegend=True)
     return figure
 
 
-def _described(found: Overview, number: int) -> str:
-    values = found.sweep.varied(number)
+def _described(found: Results, trial: FrozenTrial) -> str:
+    values = found.values(trial)
     text = ", ".join(f"{name}: {shown(value)}" for name, value in values.items())
     return html.escape(text, quote=False)  # Plotly would interpret tags
 

@@ -1,33 +1,46 @@
-"""The Optuna study of a tuning: proposes settings and stores the trials."""
+"""The Optuna study of a sweep or a tuning: holds what was tried, and proposes what to try."""
 
 import warnings
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from typing import Any
 
 import optuna
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
-from optuna.trial import FrozenTrial, Trial, TrialState
+from optuna.trial import FrozenTrial, Trial, TrialState, create_trial
 
 from adp_path_follower.core.errors import AdpError, SettingsError
-from adp_path_follower.core.settings.schema import Value, flatten, yaml_text
-from adp_path_follower.study.sweeps.request.objectives import Score, score_of_runs
-from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import flatten
+from adp_path_follower.study.sweeps.request.objectives import Score
 from adp_path_follower.study.sweeps.request.request import Sweep, Tuning
 from adp_path_follower.study.sweeps.workers.cluster import Workers
-from adp_path_follower.study.sweeps.workers.plan import Plan, work_off
-from adp_path_follower.study.sweeps.workers.runs import joined
+from adp_path_follower.study.sweeps.workers.runs import score_settings
 
 _BASELINE = "baseline"
 _SCORE = "score"
 _REFUSED = "refused"
+_UNSTABLE = "unstable runs"  # the constraint: above 0 it is no candidate, whatever its cost
+_FRONT = 2  # objectives of a sweep that make its Pareto front
 _MOST_REFUSED = 50  # one after the other: then the ranges hold nothing valid
+
+
+def sweep_study(sweep: Sweep, scores: Iterable[Score]) -> optuna.Study:
+    """Return a study in memory with the scores of a sweep's combinations, in their order."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    objectives = sweep.objectives[:_FRONT]
+    study = optuna.create_study(directions=["minimize"] * len(objectives))
+    for number, score in enumerate(scores):
+        study.add_trial(
+            create_trial(
+                values=[score.objectives[name] for name in objectives],
+                params=sweep.parameters(flatten(sweep.settings(number))),
+                distributions=sweep.distributions,
+                user_attrs={_SCORE: asdict(score)},
+                constraints={_UNSTABLE: float(score.unstable)},
+            )
+        )
+    return study
 
 
 def open_study(tuning: Tuning, storage: str, shared: bool) -> optuna.Study:
@@ -75,7 +88,6 @@ def tune(
     workers fail, or if the ranges hold no valid settings.
     """
     _judge_baseline(study, tuning, workers)
-    distributions = {item.name: _distribution(item) for item in tuning.variations}
     under_way: deque[tuple[Trial, Any]] = deque()
     while True:
         done = len(tried(study))
@@ -83,18 +95,12 @@ def tune(
         while (
             done + len(under_way) < tuning.search.trials and len(under_way) < tuning.search.at_once
         ):
-            trial, sweep = _propose(study, tuning, distributions)
-            under_way.append((trial, workers.begin(score_runs, sweep)))
+            trial, settings = _propose(study, tuning)
+            under_way.append((trial, workers.begin(score_settings, tuning.conditions, settings)))
         if not under_way:
             return
         trial, future = under_way.popleft()
         _tell(study, trial, workers.result(future), tuning)
-
-
-def score_runs(sweep: Sweep) -> Score:
-    """Simulate the runs of a sweep of one combination, on a worker."""
-    plan = Plan(sweep)
-    return score_of_runs(joined([work_off(plan.part(number)) for number in range(plan.parts)]))
 
 
 def tried(study: optuna.Study) -> list[FrozenTrial]:
@@ -113,33 +119,19 @@ def score_of(trial: FrozenTrial) -> Score:
     return Score(**trial.user_attrs[_SCORE])
 
 
-def baseline(study: optuna.Study) -> Score:
-    """Return what the runs with the settings before said."""
-    return Score(**study.user_attrs[_BASELINE])
+def baseline(study: optuna.Study) -> Score | None:
+    """Return what the runs with the settings before said, None for a sweep."""
+    found = study.user_attrs.get(_BASELINE)
+    return None if found is None else Score(**found)
 
 
-def values_of(tuning: Tuning, params: Mapping[str, Any]) -> dict[str, Value]:
-    """Return the values of a trial's parameters, by the names of what is varied."""
-    values: dict[str, Value] = {}
-    for item in tuning.variations:
-        given = params[item.name]
-        if isinstance(item, Listed):
-            values[item.name] = item.values[_labels(item).index(str(given))]
-        else:
-            values[item.name] = int(given) if item.integer else float(given)
-    return values
-
-
-def _propose(
-    study: optuna.Study, tuning: Tuning, distributions: dict[str, BaseDistribution]
-) -> tuple[Trial, Any]:
-    """Return a trial and its runs; settings that the validation rejects are not run."""
+def _propose(study: optuna.Study, tuning: Tuning) -> tuple[Trial, Settings]:
+    """Return a trial and its settings; those that the validation rejects are not run."""
     reason = ""
     for _ in range(_MOST_REFUSED):
-        trial = study.ask(distributions)
+        trial = study.ask(tuning.distributions)
         try:
-            values = values_of(tuning, trial.params)
-            return trial, tuning.runs_with(tuning.settings_with(values))
+            return trial, tuning.settings_with(tuning.values(trial.params))
         except SettingsError as error:
             reason = str(error)
             trial.set_user_attr(_REFUSED, reason)
@@ -151,8 +143,7 @@ def _propose(
 
 def _tell(study: optuna.Study, trial: Trial, score: Score, tuning: Tuning) -> None:
     trial.set_user_attr(_SCORE, asdict(score))
-    # Above 0 it is no candidate, whatever its cost.
-    trial.set_constraint("unstable runs", float(score.unstable))
+    trial.set_constraint(_UNSTABLE, float(score.unstable))
     study.tell(trial, [score.objectives[name] for name in tuning.objectives])
 
 
@@ -160,32 +151,10 @@ def _judge_baseline(study: optuna.Study, tuning: Tuning, workers: Workers) -> No
     """Try the settings before: what is found must be better than they are."""
     if _BASELINE in study.user_attrs:
         return
-    score = workers.result(workers.begin(score_runs, tuning.runs_with(tuning.conditions.settings)))
+    before = tuning.conditions.settings
+    score = workers.result(workers.begin(score_settings, tuning.conditions, before))
     study.set_user_attr(_BASELINE, asdict(score))
-    base = flatten(tuning.conditions.settings)
-    params = {item.name: _base_value(item, base) for item in tuning.variations}
+    params = tuning.parameters(flatten(before))
     if None not in params.values() and not study.get_trials(deepcopy=False):
         study.enqueue_trial(params)
-        distributions = {item.name: _distribution(item) for item in tuning.variations}
-        _tell(study, study.ask(distributions), score, tuning)
-
-
-def _base_value(item: Variation, base: dict[str, Value]) -> Any:
-    """Return the value before, as Optuna has it; None if it is not among those to try."""
-    value = base[item.field.name]
-    if isinstance(item, Listed):
-        return yaml_text(value) if value in item.values else None
-    number = item.number_in(value)
-    return number if item.low <= number <= item.high else None
-
-
-def _distribution(item: Variation) -> BaseDistribution:
-    if isinstance(item, Listed):
-        return CategoricalDistribution(_labels(item))
-    if item.integer:
-        return IntDistribution(int(item.low), int(item.high), log=item.log)
-    return FloatDistribution(item.low, item.high, log=item.log)
-
-
-def _labels(item: Listed) -> list[str]:
-    return [yaml_text(value) for value in item.values]
+        _tell(study, study.ask(tuning.distributions), score, tuning)

@@ -14,9 +14,11 @@ pytest.importorskip("distributed", reason="the extra 'sweep' is not installed")
 
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.study.sweeps.overview import overview, summary_text
-from adp_path_follower.study.sweeps.page import sweep_figures, write_results
+from adp_path_follower.study.sweeps.page import sweep_figures, write_sweep_page
 from adp_path_follower.study.sweeps.request.files import read_sweep
+from adp_path_follower.study.sweeps.request.objectives import score_of_runs
+from adp_path_follower.study.sweeps.results import results, results_text, write_results
+from adp_path_follower.study.sweeps.study import score_of, sweep_study
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 ATTACK = "<img src=x onerror=alert(1)>"
@@ -36,10 +38,14 @@ def gain_loss(values) -> float:
     return 1.0 + abs(np.log10(values["actor_gain"]) - 1.0) + (values["target_gain"] - 0.5) ** 2
 
 
-def runs_of(sweep, unstable=()):
-    """Return made-up runs whose costs are known; some combinations have one unstable run."""
+def results_of(sweep, unstable=()):
+    """Return results of made-up runs whose costs are known; some have one unstable run."""
+    return results(sweep_study(sweep, map(score_of_runs, runs_of(sweep, unstable))), sweep)
+
+
+def runs_of(sweep, unstable):
     rng = np.random.default_rng(0)
-    count = sweep.runs_each * sweep.groups_each
+    count = sweep.conditions.runs
     for number in range(sweep.combinations):
         cost = gain_loss(sweep.varied(number)) + np.array([0.0, 0.1, 0.2, 0.3])
         yield {
@@ -71,46 +77,47 @@ def losses(sweep) -> np.ndarray:
 
 def test_the_best_is_the_best_that_is_stable(sweep, tmp_path):
     order = np.argsort(losses(sweep), kind="stable")
-    found = overview(sweep, runs_of(sweep))
-    assert found.best == order[0]
-    assert found.ranked.tolist() == order.tolist()
-    assert [path for path, _, _ in found.cases] == ["line", "lissajous"]
+    found = results_of(sweep)
+    assert [trial.number for trial in found.stable] == order.tolist()
+    assert found.best == found.stable[0]
     least = losses(sweep)[order[0]]
-    assert found.cases[1][2].median == pytest.approx(least + 0.3)
-    assert found.scores["worst_case"][order[0]] == pytest.approx(least + 0.3)
-    assert found.scores["cost"][order[0]] == pytest.approx(least + 0.15)
+    score = score_of(found.best)
+    assert score.objectives["worst_case"] == pytest.approx(least + 0.3)
+    assert score.objectives["cost"] == pytest.approx(least + 0.15)
 
     bad = set(order[:3].tolist())
-    found = overview(sweep, runs_of(sweep, bad))
-    assert found.best == order[3]
-    assert set(found.front) & bad == set()
-    text = summary_text(found)
-    assert "3 of 96 combinations are unstable in some run (3 of 384 runs)" in text
+    found = results_of(sweep, bad)
+    assert found.best.number == order[3]
+    assert {trial.number for trial in found.front} & bad == set()
+    assert "96 settings tried for cost and effort, on 4 runs each; 3 unstable" in results_text(
+        found
+    )
     write_results(found, "mine", tmp_path)
     best = load_settings(Settings, "path_follower", tmp_path / "best.yaml")
     assert best == sweep.settings(order[3])
 
-    nothing = overview(sweep, runs_of(sweep, range(96)))
+    nothing = results_of(sweep, range(96))
     assert nothing.best is None
     write_results(nothing, "mine", tmp_path)
     assert not (tmp_path / "best.yaml").exists()
-    assert "no combination of settings is stable" in summary_text(nothing)
+    assert "no settings are stable in all runs" in results_text(nothing)
 
 
 def test_heat_maps_show_what_matters_first(sweep):
-    figures = sweep_figures(overview(sweep, runs_of(sweep)))
+    figures = sweep_figures(results_of(sweep))
     first = figures["map_1"]
-    assert first["layout"]["xaxis"]["title"]["text"] == "actor_gain"
-    assert first["layout"]["yaxis"]["title"]["text"] == "target_gain"
+    # Two settings matter, the third does not; few values of target_gain are among the best.
+    assert first["layout"]["xaxis"]["title"]["text"] == "target_gain"
+    assert first["layout"]["yaxis"]["title"]["text"] == "actor_gain"
     field = np.array(first["data"][0]["z"], dtype=float)
-    assert field.shape[1] == 3
-    assert (np.nanargmin(field, axis=1) == 1).all()  # actor_gain: 10
+    assert field.shape[0] == 3
+    assert (np.nanargmin(field, axis=0) == 1).all()  # actor_gain: 10
     assert list(figures) == ["pareto", "map_1", "map_2", "map_3"]
     assert ATTACK not in str(figures["pareto"]["data"])
 
 
 def test_where_nothing_is_stable_the_maps_show_how_much_is_not(sweep):
-    found = overview(sweep, runs_of(sweep, range(96)))
+    found = results_of(sweep, range(96))
     figures = sweep_figures(found)
     assert list(figures) == ["map_1", "map_2", "map_3"]
     for figure in figures.values():
@@ -118,13 +125,13 @@ def test_where_nothing_is_stable_the_maps_show_how_much_is_not(sweep):
         shares = np.array(figure["data"][0]["z"], dtype=float)
         known = shares[np.isfinite(shares)]
         assert known.size
-        assert known == pytest.approx(found.unstable[0] * 96 / sweep.runs)
+        assert known == pytest.approx(0.25)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 def test_the_page_opens_without_network_and_without_errors(sweep, tmp_path):
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    write_results(overview(sweep, runs_of(sweep, {0, 1})), ATTACK, tmp_path)
+    write_sweep_page(results_of(sweep, {0, 1}), ATTACK, tmp_path / "report.html")
     problems: list[str] = []
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(

@@ -14,8 +14,8 @@ import optuna
 
 from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.ros.runtime.qos import ALL_CHANGES
-from adp_path_follower.study.sweeps.findings import findings, write_findings
 from adp_path_follower.study.sweeps.request.files import read_tuning
+from adp_path_follower.study.sweeps.results import results, write_results
 from adp_path_follower.study.sweeps.study import open_study, tune
 
 pytestmark = pytest.mark.nodes
@@ -38,9 +38,9 @@ trials: 2
 class _Inline:
     """Workers that do everything at once, here."""
 
-    def begin(self, function, piece):
-        """Return what the function makes of the piece."""
-        return function(piece)
+    def begin(self, function, *arguments):
+        """Return what the function makes of the arguments."""
+        return function(*arguments)
 
     def result(self, future):
         """Return it."""
@@ -54,11 +54,11 @@ def test_the_controller_starts_with_what_was_found(peer, start, tmp_path):
     study = open_study(tuning, f"sqlite:///{tmp_path / 'study.db'}", shared=False)
     tune(study, tuning, _Inline(), lambda fraction: None)
     assert all(trial.state == optuna.trial.TrialState.COMPLETE for trial in study.get_trials())
-    found = findings(study, tuning)
-    (best,) = write_findings(found, "a test", tmp_path)
+    found = results(study, tuning)
+    write_results(found, "a test", tmp_path)
 
     told = peer.listen(String, "path_follower/configuration", ALL_CHANGES)
-    controller = start("controller", "--params-file", str(best))
+    controller = start("controller", "--params-file", str(tmp_path / "best.yaml"))
     peer.until_matched(peer.path)
     peer.send_path(frame=FRAMES[0])
     peer.until(lambda: told, f"the configuration of {controller.output()}")

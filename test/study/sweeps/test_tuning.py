@@ -21,16 +21,15 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
-from adp_path_follower.study.sweeps.findings import findings, findings_text, write_findings
 from adp_path_follower.study.sweeps.request.files import read_tuning, tuning_of_options
 from adp_path_follower.study.sweeps.request.ranges import Listed, Range, own_range
+from adp_path_follower.study.sweeps.results import results, results_text, write_results
 from adp_path_follower.study.sweeps.study import (
     open_study,
     refused,
     score_of,
     tried,
     tune,
-    values_of,
 )
 
 PAPER = CONFIG / "paper.yaml"
@@ -41,9 +40,9 @@ FIELDS = {field.name: field for field in setting_fields(Settings)}
 class Inline:
     """Workers that do everything at once, here."""
 
-    def begin(self, function, piece):
-        """Return what the function makes of the piece."""
-        return function(piece)
+    def begin(self, function, *arguments):
+        """Return what the function makes of the arguments."""
+        return function(*arguments)
 
     def result(self, future):
         """Return it."""
@@ -64,7 +63,7 @@ def tuned(folder: FilePath, text: str):
     tuning = tuning_of(folder, text)
     study = study_of(folder, tuning)
     tune(study, tuning, Inline(), lambda fraction: None)
-    return study, findings(study, tuning)
+    return study, results(study, tuning)
 
 
 def test_the_best_is_the_best_of_all_that_was_tried(tmp_path):
@@ -78,7 +77,7 @@ def test_the_best_is_the_best_of_all_that_was_tried(tmp_path):
         """,
     )
     trials = tried(study)
-    assert len(trials) == found.trials == 24
+    assert len(trials) == len(found.trials) == 24
     assert found.unstable == 0
     costs = [trial.values[0] for trial in trials]
     assert found.best is not None
@@ -89,7 +88,7 @@ def test_the_best_is_the_best_of_all_that_was_tried(tmp_path):
     assert trials[0].values[0] == found.before.objectives["cost"] >= min(costs)
     # The runs of a trial are judged by the cost before, not by the one that is tuned.
     assert found.before.objectives["cost"] == pytest.approx(score_of(trials[0]).median)
-    assert set(found.importance) == set(before)
+    assert {item.name for item in found.importance} == set(before)
     assert sum(found.importance.values()) == pytest.approx(1.0)
 
 
@@ -106,11 +105,11 @@ def test_the_file_that_is_written_gives_the_settings_again(tmp_path):
         trials: 12
         """,
     )
-    (file,) = write_findings(found, "mine", tmp_path)
+    write_results(found, "mine", tmp_path)
     assert found.best is not None
-    values = values_of(found.tuning, found.best.params)
+    values = found.values(found.best)
     assert {type(value) for value in values.values()} == {float, int, str, tuple}
-    loaded = load_settings(Settings, "path_follower", file)
+    loaded = load_settings(Settings, "path_follower", tmp_path / "best.yaml")
     before = flatten(load_settings(Settings, "path_follower", PAPER))
     assert flatten(loaded) == {**before, **values}
     # Two objectives give a front: no trial is better than one of it in both.
@@ -127,7 +126,7 @@ def test_no_file_of_a_larger_front_stays(tmp_path):
     mine = tmp_path / "front" / "mine.yaml"
     for count in (3, 2, 1):
         front = (found.front * 3)[:count]
-        write_findings(dataclasses.replace(found, front=front), "mine", tmp_path)
+        write_results(dataclasses.replace(found, front=front), "mine", tmp_path)
         mine.touch()
         names = {file.name for file in mine.parent.iterdir()} - {mine.name}
         assert names == {f"{number:03d}.yaml" for number in range(1, count + 1) if count > 1}
@@ -137,7 +136,7 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path):
     _, found = tuned(tmp_path, "settings: {target_gain: own}\ntrials: 3")
     (tmp_path / "best.yaml").mkdir()
     with pytest.raises(AdpError, match=r"best.yaml cannot be written: Is a directory"):
-        write_findings(found, "mine", tmp_path)
+        write_results(found, "mine", tmp_path)
 
 
 def test_what_the_validation_refuses_is_never_run(tmp_path):
@@ -179,14 +178,14 @@ def test_what_is_unstable_is_no_candidate(tmp_path):
     tuning = read_tuning(file)
     study = study_of(tmp_path, tuning)
     tune(study, tuning, Inline(), lambda fraction: None)
-    found = findings(study, tuning)
-    kinds = [values_of(tuning, trial.params)["basis"] for trial in tried(study)]
+    found = results(study, tuning)
+    kinds = [tuning.values(trial.params)["basis"] for trial in tried(study)]
     bad = [score_of(trial).unstable for trial in tried(study)]
     assert [kind == "paper_misprinted" for kind in kinds] == [number > 0 for number in bad]
     assert 0 < found.unstable < 8
     assert found.best is not None
-    assert values_of(tuning, found.best.params)["basis"] == "paper"
-    assert f"{found.unstable} unstable in some run" in findings_text(found)
+    assert found.values(found.best)["basis"] == "paper"
+    assert f"{found.unstable} unstable in some run" in results_text(found)
 
 
 def test_a_search_that_was_killed_goes_on(tmp_path):

@@ -36,6 +36,7 @@ _STARTS_FORM = (
     "'starts' must be 'forty', a list of [s, y, theta], {file: starts.csv} or "
     "{random: 100, box: [1.0, 1.0, 1.0], seed: 0}"
 )
+_MOST_AT_ONCE = 128  # runs that one call simulates, to hide Python's overhead
 _MOST_STARTS = 100_000
 _MOST_SEED = 2**31 - 1
 _MOST_SEEDS = 100_000
@@ -143,6 +144,26 @@ class Conditions:
     robots: tuple[Robot, ...]  # robots that follow them
     noise_seeds: tuple[int, ...]  # numbers of the noise sequences
     run: RunSettings  # duration, rate and learning of the runs
+
+    @property
+    def runs_each(self) -> int:
+        """Return the number of runs with the same settings, path and robot."""
+        return len(self.noise_seeds) * len(self.starts)
+
+    @property
+    def runs(self) -> int:
+        """Return the number of runs with the same settings."""
+        return self.runs_each * len(self.paths) * len(self.robots)
+
+    @property
+    def part_size(self) -> int:
+        """Return how many runs are made and stored together: few files, and whole groups."""
+        return _MOST_AT_ONCE // self.runs_each * self.runs_each or _MOST_AT_ONCE
+
+    def path_and_robot(self, group: int) -> tuple[PathSource, Robot]:
+        """Return path and robot of a group of runs; robots change first."""
+        path, robot = divmod(group, len(self.robots))
+        return self.paths[path], self.robots[robot]
 
 
 def read_conditions(

@@ -1,15 +1,10 @@
 """Reads SWEEP.yaml and TUNE.yaml."""
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
-import numpy as np
-from scipy.stats import qmc
-
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.parameter_file import parse_assignment
 from adp_path_follower.core.settings.schema import flatten, setting
 from adp_path_follower.study.sweeps.request.conditions import (
@@ -76,9 +71,8 @@ def read_sweep(file: FilePath) -> Sweep:
             )
         if samples and not ranges:
             raise SettingsError("'samples' is given, but 'settings' has no range to sample")
-        points = _sobol(len(ranges), samples, seed)
         objectives = asked.run.objectives or ("cost", "effort")
-        sweep = Sweep(conditions, (*listed, *ranges), objectives, points, seed)
+        sweep = Sweep(conditions, (*listed, *ranges), objectives, samples, seed)
         if sweep.runs > _MOST_RUNS:
             raise SettingsError(
                 f"these are {sweep.runs:,} runs, but at most {_MOST_RUNS:,} are possible: list "
@@ -139,13 +133,3 @@ def _tuning(entries: Mapping[str, object], folder: FilePath) -> Tuning:
             "against each other"
         )
     return Tuning(conditions, variations, objectives, asked.search)
-
-
-def _sobol(dimensions: int, samples: int, seed: int) -> FloatArray:
-    """Return points that fill the unit cube evenly, shape (samples, dimensions)."""
-    if not dimensions:
-        return np.zeros((1, 0))
-    sampler = qmc.Sobol(dimensions, scramble=True, seed=seed)
-    # The first of 2^m points are drawn, which balances better than any other number.
-    points = sampler.random_base2(max(0, math.ceil(math.log2(samples))))
-    return np.asarray(points[:samples])

@@ -70,11 +70,6 @@ OBJECTIVES = {
 }
 
 
-def unstable_runs(columns: Columns) -> int:
-    """Return how many of the runs are not stable."""
-    return int((~columns["stable"].astype(bool)).sum())
-
-
 @dataclass(frozen=True)
 class Score:
     """Numbers over all runs with the same settings."""
@@ -85,37 +80,25 @@ class Score:
     relative: bool  # whether costs are J/J*; J otherwise
     median: float  # median of the costs
     high: float  # 95 % quantile of the costs
-    largest: float  # greatest cost
     problem: str  # why runs were impossible, empty if all were possible
 
 
 def score_of_runs(columns: Columns) -> Score:
     """Return the score of runs: column name -> values, shape (N,)."""
     cost = cost_column(columns)
-    cost = np.where(np.isfinite(cost), cost, math.inf)
-    median, high = np.quantile(cost, [0.5, 0.95], method="higher")
+    median, high = np.quantile(
+        np.where(np.isfinite(cost), cost, math.inf), [0.5, 0.95], method="higher"
+    )
     return Score(
         {name: _number(objective.of(columns)) for name, objective in OBJECTIVES.items()},
         runs=len(cost),
-        unstable=unstable_runs(columns),
+        unstable=int((~columns["stable"].astype(bool)).sum()),
         relative=bool(np.isfinite(columns["optimal_cost"]).all()),
         median=_number(median),
         high=_number(high),
-        largest=_number(cost.max()),
         problem=next((str(text) for text in columns["problem"] if text), ""),
     )
 
 
 def _number(value: float) -> float:
     return float(value) if math.isfinite(value) else UNSTABLE_SCORE
-
-
-def pareto_front(points: np.ndarray) -> np.ndarray:
-    """Return which finite points (N, 2) no other is below in both numbers: a mask, shape (N,)."""
-    front = np.zeros(len(points), dtype=bool)
-    least = math.inf
-    order = np.lexsort((points[:, 1], points[:, 0]))
-    for index in order[np.isfinite(points[order]).all(axis=1)]:
-        if points[index, 1] < least:
-            front[index], least = True, points[index, 1]
-    return front

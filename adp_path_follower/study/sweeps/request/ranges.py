@@ -4,6 +4,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import (
@@ -12,10 +15,12 @@ from adp_path_follower.core.settings.schema import (
     checked,
     setting_fields,
     unknown_name,
+    yaml_text,
 )
 from adp_path_follower.study.sweeps.request.entries import errors_in
 
 OWN = "own"
+_AT_END = 0.02  # of a range: its end
 _OWN_FACTOR = 10.0  # a setting's own range goes from a tenth to ten times its value
 _RANGE_FORM = "a range is {low: 0.1, high: 10.0} or {low: 0.1, high: 10.0, log: true}"
 
@@ -31,6 +36,27 @@ class Listed:
     def name(self) -> str:
         """Return the setting's name."""
         return self.field.name
+
+    @property
+    def distribution(self) -> CategoricalDistribution:
+        """Return the values as Optuna has them: as texts."""
+        return CategoricalDistribution([yaml_text(value) for value in self.values])
+
+    def parameter(self, value: Value) -> str | None:
+        """Return a value as Optuna has it, None if it is not listed."""
+        return yaml_text(value) if value in self.values else None
+
+    def value(self, parameter: object) -> Value:
+        """Return the value that Optuna has as a parameter."""
+        return self.values[self.distribution.choices.index(str(parameter))]
+
+    def before(self, value: Value) -> Value:
+        """Return what is varied of a setting's value: all of it."""
+        return value
+
+    def is_at_end(self, value: Value) -> bool:
+        """Return False: a list has no end."""
+        return False
 
 
 @dataclass(frozen=True)
@@ -53,22 +79,39 @@ class Range:
         """Return whether its values are whole numbers."""
         return (self.field.item_kind or self.field.kind) is int
 
-    def number_in(self, value: Value) -> float:
-        """Return the number that is varied from a value of the setting."""
+    @property
+    def distribution(self) -> IntDistribution | FloatDistribution:
+        """Return the range as Optuna has it."""
+        if self.integer:
+            return IntDistribution(int(self.low), int(self.high), log=self.log)
+        return FloatDistribution(self.low, self.high, log=self.log)
+
+    def parameter(self, value: Value) -> float | None:
+        """Return a setting's value as Optuna has it, None if it is out of range."""
+        number = self.before(value)
+        return number if self.low <= number <= self.high else None
+
+    def value(self, parameter: float) -> float:
+        """Return the value that Optuna has as a parameter."""
+        return int(parameter) if self.integer else float(parameter)
+
+    def before(self, value: Value) -> float:
+        """Return the number that is varied of a setting's value."""
         number = value[self.item] if isinstance(value, tuple) and self.item is not None else value
         assert isinstance(number, int | float)  # others have no range
         return number
 
-    def at(self, share: float) -> float | int:
+    def is_at_end(self, value: Value) -> bool:
+        """Return whether a setting's value is at one of the ends of its range."""
+        ends = np.array([self.low, self.high, self.before(value)])
+        low, high, here = np.log(ends) if self.log else ends
+        return bool(min(here - low, high - here) < _AT_END * (high - low))
+
+    def at(self, share: float) -> float:
         """Return the value at a share in [0, 1) of the range."""
-        if self.integer:
-            low, high = math.log(self.low) if self.log else self.low, self.high + 1.0
-            high = math.log(high) if self.log else high
-            value = low + share * (high - low)
-            return min(int(math.exp(value) if self.log else value), int(self.high))
-        if self.log:
-            return float(self.low * (self.high / self.low) ** share)
-        return float(self.low + share * (self.high - self.low))
+        low, high = self.low, self.high + self.integer
+        value = low * (high / low) ** share if self.log else low + share * (high - low)
+        return min(int(value) if self.integer else float(value), self.high)
 
 
 Variation = Listed | Range
@@ -169,23 +212,24 @@ def _ranges(field: SettingField, given: Mapping[str, object], value: Value) -> l
         raise SettingsError(
             f"setting '{field.name}' is {field.type_name} and has no range: list the values to try"
         )
-    if field.item_kind is None:
-        low, high = checked(field, given["low"]), checked(field, given["high"])
-        return [_range(field, None, low, high, log)]
-    length = len(value) if isinstance(value, tuple) else 0
-    ends = []
+    numbers = value if isinstance(value, tuple) else (value,)
+    ends: list[tuple[Value, ...]] = []
     for end in ("low", "high"):
-        items = given[end] if isinstance(given[end], list) else [given[end]] * length
-        ends.append(checked(field, items))
+        if field.item_kind is None:
+            ends.append((checked(field, given[end]),))
+        else:
+            same = [given[end]] * len(numbers)  # for all numbers of the list
+            found = checked(field, given[end] if isinstance(given[end], list) else same)
+            assert isinstance(found, tuple)  # the setting is a list
+            ends.append(found)
     lows, highs = ends
-    assert isinstance(lows, tuple)  # the setting is a list
-    assert isinstance(highs, tuple)
-    if not len(lows) == len(highs) == length:
+    if not len(lows) == len(highs) == len(numbers):
         raise SettingsError(
-            f"setting '{field.name}' has {length} values, but its range has {len(lows)} for low "
-            f"and {len(highs)} for high"
+            f"setting '{field.name}' has {len(numbers)} values, but its range has {len(lows)} for "
+            f"low and {len(highs)} for high"
         )
-    return [_range(field, place, lows[place], highs[place], log) for place in range(length)]
+    places = [None] if field.item_kind is None else range(len(numbers))
+    return [_range(field, *item, log) for item in zip(places, lows, highs, strict=True)]
 
 
 def _range(field: SettingField, item: int | None, low: Value, high: Value, log: bool) -> Range:

@@ -1,18 +1,22 @@
 """Sweeps and tunings: which settings are tried under which conditions."""
 
+import functools
 import hashlib
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from optuna.distributions import BaseDistribution
+from scipy.stats import qmc
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.core.settings.schema import Value, build, flatten, setting, setting_fields
+from adp_path_follower.core.settings.schema import Value, build, flatten, setting
 from adp_path_follower.study.sweeps.request.conditions import Conditions
 from adp_path_follower.study.sweeps.request.ranges import Listed, Range, Variation, settings_values
 
@@ -29,6 +33,19 @@ class Request:
         """Return the settings with these values; SettingsError if they do not fit each other."""
         base = flatten(self.conditions.settings)
         return build(Settings, {**base, **settings_values(values, base)})
+
+    @property
+    def distributions(self) -> dict[str, BaseDistribution]:
+        """Return what varies as Optuna has it: name of a variation -> distribution."""
+        return {item.name: item.distribution for item in self.variations}
+
+    def parameters(self, values: Mapping[str, Value]) -> dict[str, Any]:
+        """Return all settings' values as Optuna has them; None for one out of its variation."""
+        return {item.name: item.parameter(values[item.field.name]) for item in self.variations}
+
+    def values(self, parameters: Mapping[str, Any]) -> dict[str, Value]:
+        """Return the values of Optuna's parameters, by the names of the variations."""
+        return {item.name: item.value(parameters[item.name]) for item in self.variations}
 
     def description(self) -> dict[str, str]:
         """Return everything that the results depend on: name -> text."""
@@ -54,42 +71,45 @@ class Sweep(Request):
     combinations of settings last. The first two objectives make the Pareto front.
     """
 
-    points: FloatArray  # Sobol points in the ranges, shape (S, R); (1, 0) without ranges
+    samples: int = 0  # number of points in the ranges, if there are ranges
     samples_seed: int = 0  # seed of the points
+
+    @property
+    def points(self) -> FloatArray:
+        """Return points that fill the ranges evenly, as shares in [0, 1), shape (S, R)."""
+        ranges = sum(isinstance(item, Range) for item in self.variations)
+        return _sobol(ranges, self.samples, self.samples_seed)
 
     @property
     def combinations(self) -> int:
         """Return how many combinations of settings there are."""
         listed = (len(item.values) for item in self.variations if isinstance(item, Listed))
-        return math.prod(listed) * len(self.points)
-
-    @property
-    def runs_each(self) -> int:
-        """Return the number of runs with the same settings, path and robot."""
-        return len(self.conditions.noise_seeds) * len(self.conditions.starts)
-
-    @property
-    def groups_each(self) -> int:
-        """Return how many pairs of path and robot each combination has."""
-        return len(self.conditions.paths) * len(self.conditions.robots)
+        return math.prod(listed) * max(1, self.samples)
 
     @property
     def runs(self) -> int:
         """Return the number of all runs."""
-        return self.combinations * self.groups_each * self.runs_each
+        return self.combinations * self.conditions.runs
+
+    @property
+    def parts(self) -> int:
+        """Return the number of parts: the work of a worker at a time, and a file each."""
+        return -(-self.runs // self.conditions.part_size)
+
+    def runs_of(self, part: int) -> range:
+        """Return the numbers of the runs of a part."""
+        size = self.conditions.part_size
+        return range(part * size, min((part + 1) * size, self.runs))
 
     def varied(self, combination: int) -> dict[str, Value]:
         """Return the values of a combination, by the names of the variations."""
-        rest, point = divmod(combination, len(self.points))
-        shares = iter(reversed(self.points[point].tolist()))
-        values: dict[str, Value] = {}
-        for item in reversed(self.variations):
-            if isinstance(item, Range):
-                values[item.name] = item.at(next(shares))
-            else:
-                rest, place = divmod(rest, len(item.values))
-                values[item.name] = item.values[place]
-        return dict(reversed(values.items()))
+        listed = [item for item in self.variations if isinstance(item, Listed)]
+        ranges = [item for item in self.variations if isinstance(item, Range)]
+        shape = [*(len(item.values) for item in listed), len(self.points)]
+        *places, point = np.unravel_index(combination, shape)
+        values = {item.name: item.values[place] for item, place in zip(listed, places, strict=True)}
+        shares = zip(ranges, self.points[point].tolist(), strict=True)
+        return {**values, **{item.name: item.at(share) for item, share in shares}}
 
     def settings(self, combination: int) -> Settings:
         """Return the settings of a combination; SettingsError if they do not fit each other."""
@@ -116,20 +136,20 @@ class Tuning(Request):
 
     search: SearchSettings  # extent of the search
 
-    def runs_with(self, settings: Settings) -> Sweep:
-        """Return the runs of one trial: a sweep of one combination."""
-        base, values = flatten(self.conditions.settings), flatten(settings)
-        changed = tuple(
-            Listed(field, (values[field.name],))
-            for field in setting_fields(Settings)
-            if values[field.name] != base[field.name]
-        )
-        return Sweep(self.conditions, changed, self.objectives, np.zeros((1, 0)))
-
     def description(self) -> dict[str, str]:
         """Return everything that the results depend on, which the number of trials is not."""
         found = {**super().description(), "objectives": repr(self.objectives)}
         return {**found, "search": repr((self.search.seed, self.search.at_once))}
+
+
+@functools.lru_cache(maxsize=1)
+def _sobol(dimensions: int, samples: int, seed: int) -> FloatArray:
+    """Return points that fill the unit cube evenly, shape (samples, dimensions)."""
+    if not dimensions:
+        return np.zeros((1, 0))
+    sampler = qmc.Sobol(dimensions, scramble=True, seed=seed)
+    # The first of 2^m points are drawn, which balances better than any other number.
+    return np.asarray(sampler.random_base2(math.ceil(math.log2(samples)))[:samples])
 
 
 def _text(value: object) -> str:

@@ -21,21 +21,11 @@ from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
 
 Work = TypeVar("Work")
-
-
 _CONNECTING = 5.0  # [s] that a scheduler has to answer
-
-
 _FIRST_WORKER = 30.0  # [s] that a scheduler has to find a worker
-
-
 _WAITING_EACH = 2  # pieces of work for each worker: it never waits for the next
-
-
 # Run by each worker: the whole terminal gets Ctrl-C, but only the command answers it.
 _NO_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-
-
 _RETRIES = 2  # of work that failed; a worker that dies is not counted
 
 
@@ -51,9 +41,9 @@ class Workers:
         """Return how many pieces of work are done at once, now."""
         return max(1, sum(self._client.nthreads().values()))
 
-    def begin(self, function: Callable[[Work], Any], piece: Work) -> Any:
+    def begin(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return the future of a piece of work; if its worker dies, another does it."""
-        return self._client.submit(function, piece, pure=False, retries=_RETRIES)
+        return self._client.submit(function, *arguments, pure=False, retries=_RETRIES)
 
     def result(self, future: Any) -> Any:
         """Wait for the result; AdpError if the work failed or the scheduler is gone."""

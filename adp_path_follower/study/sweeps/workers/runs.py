@@ -1,10 +1,10 @@
-"""Simulates a batch of runs on a worker, and measures them."""
+"""Simulates runs of a sweep or a tuning on a worker, and measures them."""
 
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,53 +12,29 @@ from adp_path_follower import criteria
 from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import FloatArray, tracking_error
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.nearest import beside
-from adp_path_follower.core.settings.groups import CostSettings, PathSettings, Settings
-from adp_path_follower.core.settings.schema import update
+from adp_path_follower.core.settings.groups import PathSettings, Settings
+from adp_path_follower.core.settings.schema import Value, update
 from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
-from adp_path_follower.study.sweeps.request.conditions import PathSource, Robot, RunSettings
-
-MOST_AT_ONCE = 128  # runs that one call simulates, to hide Python's overhead
+from adp_path_follower.study.sweeps.request.conditions import (
+    Conditions,
+    PathSource,
+    Robot,
+    optimal_costs,
+)
+from adp_path_follower.study.sweeps.request.objectives import Score, score_of_runs
+from adp_path_follower.study.sweeps.request.request import Sweep
 
 # Measured columns that are NaN for an impossible run.
-MEASURES = ("cost", "cost_ratio", "effort", "cross_track_rms", "cross_track_max", "excitation")
+MEASURES = ("cost", "effort", "cross_track_rms", "cross_track_max", "excitation")
 _LAST_SHARE = 0.2  # of a run: its end
 _SAMPLING = 0.05  # [s] between two looks
+_SHORT, _LONG = 0.3, 0.9  # [s] of simulated time, to measure the computing time
 _LONGEST_STEP = 0.5  # [m] of the search for the place beside the robot, from the target's on
 
-
-@dataclass(frozen=True)
-class Batch:
-    """Runs that differ in start and noise only."""
-
-    first_run: int  # number of the first run
-    settings: Settings  # settings of the controller
-    cost: CostSettings  # cost that J and effort are counted with
-    source: PathSource  # path to follow
-    robot: Robot  # robot that follows it
-    starts: FloatArray  # initial errors, shape (B, 3)
-    optimal_cost: FloatArray  # J* of each run, shape (B,)
-    first_seed: int  # seed of the first run's noise; each next run has the next seed
-    run: RunSettings  # duration, rate and learning
-
-    def __len__(self) -> int:
-        """Return the number of runs."""
-        return len(self.starts)
-
-
-@dataclass(frozen=True)
-class Tracking:
-    """The tracking of B runs; places and angles are the true ones."""
-
-    cross_track_rms: FloatArray  # RMS distance from the path after the transient [m], shape (B,)
-    cross_track_max: FloatArray  # greatest distance then [m], shape (B,)
-    # Until |e| to the virtual target stays below 0.05 [s], infinite where it does not, shape (B,).
-    settling_time: FloatArray
-    # Whether the run stays within 0.5 m of the path, and within a right angle of its direction,
-    # over the last fifth of its time, shape (B,).
-    ends_on_path: np.ndarray
+Columns = dict[str, np.ndarray]
 
 
 class TrackingMeter:
@@ -74,20 +50,15 @@ class TrackingMeter:
         self._count = 0
         self._squares = np.zeros(runs)
         self._largest = np.zeros(runs)
-        self._unsettled = np.full(runs, -math.inf)
         self._ends_on_path = np.ones(runs, dtype=bool)
-        self._last_time = 0.0
 
     def observe(self, runs: slice, time: float, pose: FloatArray, output: ControlOutput) -> None:
         """Take the true poses of some of the runs, shape (B, 3), at a time [s]."""
         if round(time / self._period) % self._stride:
             return
         with np.errstate(all="ignore"):  # runs that are lost may be anywhere
-            error = tracking_error(pose, output.target_pose)
             place = beside(self._path, pose, output.arc_length, _LONGEST_STEP)
         distance, angle = place.cross_track, place.heading
-        self._unsettled[runs][~criteria.is_settled(error)] = time
-        self._last_time = max(self._last_time, time)
         if time >= self._counted_from:
             self._squares[runs] += distance**2
             self._largest[runs] = np.maximum(self._largest[runs], np.abs(distance))
@@ -96,19 +67,17 @@ class TrackingMeter:
             near = np.abs(angle) <= 0.5 * math.pi
             self._ends_on_path[runs] &= near & ~criteria.is_off_path(distance)
 
-    def result(self) -> Tracking:
-        """Return what was seen."""
-        settling = self._unsettled + self._stride * self._period
-        never = self._unsettled >= self._last_time
-        return Tracking(
-            cross_track_rms=np.sqrt(self._squares / max(1, self._count)),
-            cross_track_max=self._largest,
-            settling_time=np.where(never, math.inf, np.maximum(settling, 0.0)),
-            ends_on_path=self._ends_on_path,
-        )
+    def columns(self) -> Columns:
+        """Return the table's columns of distance and stability, shape (B,) each.
 
-
-Columns = dict[str, np.ndarray]
+        A run is stable that stays within 0.5 m of the path, and within a right angle of its
+        direction, over the last fifth of its time.
+        """
+        return {
+            "cross_track_rms": np.sqrt(self._squares / max(1, self._count)),
+            "cross_track_max": self._largest,
+            "stable": self._ends_on_path,
+        }
 
 
 def joined(pieces: Sequence[Columns]) -> Columns:
@@ -116,71 +85,146 @@ def joined(pieces: Sequence[Columns]) -> Columns:
     return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
 
 
-def simulate_batch(batch: Batch) -> Columns:
-    """Return the measurements of the runs: column name -> values, shape (B,).
+def check_paths(conditions: Conditions, settings: Settings) -> None:
+    """Raise AdpError before the long work if the controller cannot follow one of the paths."""
+    for source in conditions.paths:
+        try:
+            PathFollower(settings, source.path(settings.path), np.zeros(1))
+        except AdpError as error:
+            raise AdpError(f"path '{source.name}' cannot be followed: {error}") from None
+
+
+def seconds_each(conditions: Conditions, settings: Sequence[Settings]) -> float:
+    """Return the computing time of a run on one worker [s], from a few runs with some settings."""
+    runs = np.arange(conditions.runs)[: conditions.part_size]
+
+    def timed(duration: float) -> float:
+        run = dataclasses.replace(conditions.run, duration=duration)
+        short = dataclasses.replace(conditions, run=run)
+        begun = time.perf_counter()
+        for some in settings:
+            simulate_runs(short, some, runs)
+        return (time.perf_counter() - begun) / (len(settings) * len(runs))
+
+    timed(_SHORT)  # fills caches
+    # Making the controller costs time once, control steps cost time again and again.
+    short, long = timed(_SHORT), timed(_LONG)
+    rate = max(0.0, long - short) / (_LONG - _SHORT)
+    return short + rate * max(0.0, conditions.run.duration - _SHORT)
+
+
+def run_part(sweep: Sweep, number: int) -> Columns:
+    """Return the table of a part of a sweep: column name -> values, one for each run in order."""
+    runs, each = np.asarray(sweep.runs_of(number)), sweep.conditions.runs
+    pieces = []
+    for some in np.split(runs, np.flatnonzero(np.diff(runs // each)) + 1):
+        combination = int(some[0]) // each
+        varied = {
+            name: str(value) if isinstance(value, tuple) else value
+            for name, value in sweep.varied(combination).items()
+        }
+        known = {"run": some, **_constant(len(some), {"combination": combination, **varied})}
+        found = simulate_runs(sweep.conditions, sweep.settings(combination), some % each)
+        pieces.append({**known, **found})
+    return joined(pieces)
+
+
+def score_settings(conditions: Conditions, settings: Settings) -> Score:
+    """Simulate all runs with some settings, and return their score."""
+    pieces = np.split(
+        np.arange(conditions.runs),
+        range(conditions.part_size, conditions.runs, conditions.part_size),
+    )
+    return score_of_runs(joined([simulate_runs(conditions, settings, some) for some in pieces]))
+
+
+def simulate_runs(conditions: Conditions, settings: Settings, runs: np.ndarray) -> Columns:
+    """Return the measurements of some runs (N,) with the same settings: column name -> values.
 
     An impossible run (settings that do not fit the path) is not stable, and its `problem` says why.
     """
-    count = len(batch)
-    numbers = np.arange(count)
-    identity = {
-        "run": batch.first_run + numbers,
-        "robot_seed": batch.first_seed + numbers,
-        "start_s": batch.starts[:, 0],
-        "start_y": batch.starts[:, 1],
-        "start_theta": batch.starts[:, 2],
+    group, place = np.divmod(runs, conditions.runs_each)
+    noise, start = np.divmod(place, len(conditions.starts))
+    noise_seed = np.asarray(conditions.noise_seeds)[noise]
+    robot_seed = noise_seed * len(conditions.starts) + start
+    # Runs on the same path with the same robot are simulated at once if their seeds follow.
+    ends = np.flatnonzero((np.diff(robot_seed) != 1) | (np.diff(group) != 0)) + 1
+    pieces = []
+    for some in np.split(np.arange(len(runs)), ends):
+        source, robot = conditions.path_and_robot(int(group[some[0]]))
+        starts, seeds = conditions.starts[start[some]], robot_seed[some]
+        known = {
+            **_constant(len(some), {"path": source.name, "robot": robot.name}),
+            "noise_seed": noise_seed[some],
+            "start": start[some],
+            **dict(zip(("start_s", "start_y", "start_theta"), starts.T, strict=True)),
+            "robot_seed": seeds,
+            "optimal_cost": optimal_costs(conditions, settings, source)[start[some]],
+        }
+        seeded = dataclasses.replace(robot.plant, seed=int(seeds[0]))
+        robot = dataclasses.replace(robot, plant=seeded)
+        pieces.append({**known, **_measured(conditions, settings, source, robot, starts)})
+    columns = joined(pieces)
+    return {**columns, "cost_ratio": columns["cost"] / columns["optimal_cost"]}
+
+
+def _constant(count: int, values: Mapping[str, Value]) -> Columns:
+    """Return a column for each of some values that all runs share."""
+    return {
+        name: np.full(count, value, dtype=object if isinstance(value, str) else None)
+        for name, value in values.items()
+    }
+
+
+def _measured(
+    conditions: Conditions, settings: Settings, source: PathSource, robot: Robot, starts: FloatArray
+) -> Columns:
+    """Return the measured columns of runs from the starts (B, 3), shape (B,) each."""
+    count, asked = len(starts), conditions.run
+    nothing = {
+        **_constant(count, dict.fromkeys(MEASURES, math.nan)),
+        **_constant(count, {"settling_time": math.inf, "stable": False}),
     }
     try:
-        path = _path(batch.source, batch.settings.path)
-        meter = TrackingMeter(path, count, batch.run.duration, 1.0 / batch.run.rate)
-        found = _simulated(batch, path, meter)
+        path = _path(source, settings.path)
+        meter = TrackingMeter(path, count, asked.duration, 1.0 / asked.rate)
+        found = _simulated(conditions, settings, path, robot, starts, meter)
     except (AdpError, np.linalg.LinAlgError) as error:
-        return {
-            **identity,
-            **dict.fromkeys(MEASURES, np.full(count, math.nan)),
-            "optimal_cost": batch.optimal_cost,
-            "settling_time": np.full(count, math.inf),
-            "stable": np.zeros(count, dtype=bool),
-            "problem": np.full(count, str(error), dtype=object),
-        }
-    seen = meter.result()
+        return {**nothing, **_constant(count, {"problem": str(error)})}
     lost = found.failed | ~np.isfinite(found.cost)
-    missing = np.where(lost, math.nan, 1.0)
-    return {
-        **identity,
-        "cost": found.cost * missing,
-        "optimal_cost": batch.optimal_cost,
-        "cost_ratio": found.cost * missing / batch.optimal_cost,
-        "effort": found.effort * missing,
-        "cross_track_rms": seen.cross_track_rms * missing,
-        "cross_track_max": seen.cross_track_max * missing,
-        "settling_time": np.where(lost, math.inf, seen.settling_time),
-        "excitation": found.excitation,
-        "stable": ~lost & seen.ends_on_path,
-        "problem": np.full(count, "", dtype=object),
-    }
+    columns = {"cost": found.cost, "effort": found.effort, **meter.columns()}
+    columns["settling_time"] = found.settling_time
+    seen = {name: np.where(lost, nothing[name], values) for name, values in columns.items()}
+    return {**seen, "excitation": found.excitation, **_constant(count, {"problem": ""})}
 
 
-def _simulated(batch: Batch, path: Path, meter: TrackingMeter) -> SimulationResult:
-    """Return the runs, with the batch's cost counted and the controller's own cost driving."""
-    judged = dataclasses.replace(batch.settings, cost=batch.cost)
+def _simulated(
+    conditions: Conditions,
+    settings: Settings,
+    path: Path,
+    robot: Robot,
+    starts: FloatArray,
+    meter: TrackingMeter,
+) -> SimulationResult:
+    """Return runs, with the conditions' cost counted and the controller's own cost driving."""
+    judged = dataclasses.replace(settings, cost=conditions.settings.cost)
 
     def controller(given: Settings, path: Path, arc_length: FloatArray) -> PathFollower:
         # `given` differs from `judged` where frozen weights were asked for.
-        own = update(batch.settings, {"learning": given.learning.learning})
+        own = update(settings, {"learning": given.learning.learning})
         return PathFollower(own, path, arc_length)
 
     with np.errstate(all="ignore"):  # runs that are lost overflow, and are marked
         return simulate(
             judged,
             path,
-            batch.starts,
-            start_arc_length=batch.run.start_arc_length,
-            duration=batch.run.duration,
-            rate=batch.run.rate,
-            learning=batch.run.learning,
-            plant=dataclasses.replace(batch.robot.plant, seed=batch.first_seed),
-            faults=batch.robot.faults if batch.robot.faults.entries else None,
+            starts,
+            start_arc_length=conditions.run.start_arc_length,
+            duration=conditions.run.duration,
+            rate=conditions.run.rate,
+            learning=conditions.run.learning,
+            plant=robot.plant,
+            faults=robot.faults if robot.faults.entries else None,
             controller=controller,
             observe=meter.observe,
         )

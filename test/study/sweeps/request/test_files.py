@@ -21,7 +21,7 @@ from adp_path_follower.study.simulation.simulate import read_starts
 from adp_path_follower.study.sweeps.request.conditions import PathSource, optimal_costs
 from adp_path_follower.study.sweeps.request.files import read_sweep, read_tuning
 from adp_path_follower.study.sweeps.request.ranges import Range
-from adp_path_follower.study.sweeps.workers.plan import Plan
+from adp_path_follower.study.sweeps.workers.runs import run_part
 from folders import ROOT
 
 EXAMPLES = sorted((ROOT / "config" / "sweeps").glob("*.yaml"))
@@ -43,27 +43,19 @@ def test_every_run_is_in_the_order_that_is_documented(tmp_path):
         paths: [line, "circle:0.5"]
         robots: {ideal: {}, noisy: {position_noise: 0.01}}
         noise_seeds: [4, 7]
+        learning: frozen
+        duration: 0.1
         """,
     )
     assert (sweep.combinations, sweep.runs) == (4, 4 * 2 * 2 * 2 * 3)
-    plan = Plan(sweep)
     rows = []
-    for number in range(plan.parts):
-        part = plan.part(number)
-        columns = part.columns
-        starts = np.concatenate([batch.starts[:, 0] for batch in part.batches])
-        rows += zip(
-            *(columns["actor_gain"], columns["basis_degree"], columns["path"], columns["robot"]),
-            *(columns["noise_seed"], starts),
-            strict=True,
-        )
-        first = [batch.first_run for batch in part.batches]
-        ends = [batch.first_run + len(batch) for batch in part.batches]
-        assert first[1:] == ends[:-1]
-        assert range(first[0], ends[-1]) == plan.runs_of(number)
-        seeds = [batch.first_seed + run for batch in part.batches for run in range(len(batch))]
+    for number in range(sweep.parts):
+        columns = run_part(sweep, number)
+        names = ("actor_gain", "basis_degree", "path", "robot", "noise_seed", "start_s")
+        rows += zip(*(columns[name] for name in names), strict=True)
+        assert columns["run"].tolist() == list(sweep.runs_of(number))
         expected = 3 * columns["noise_seed"] + columns["start"]
-        assert seeds == expected.tolist()
+        assert columns["robot_seed"].tolist() == expected.tolist()
     assert rows == list(
         itertools.product(
             *([1.0, 2.0], [2, 3], ["line", "circle:0.5"], ["ideal", "noisy"], [4, 7]),
@@ -91,13 +83,9 @@ def test_the_parts_hold_every_run_once(tmp_path_factory, combinations, paths, se
         noise_seeds: {seeds}
         """,
     )
-    plan = Plan(sweep)
-    runs = [plan.runs_of(number) for number in range(plan.parts)]
+    runs = [sweep.runs_of(number) for number in range(sweep.parts)]
     assert list(itertools.chain(*runs)) == list(range(sweep.runs))
     assert max(map(len, runs)) <= 128
-    for number in (0, plan.parts // 2, plan.parts - 1):
-        part = plan.part(number)
-        assert sum(map(len, part.batches)) == len(runs[number]) == len(part.columns["path"])
 
 
 def test_the_sampled_points_fill_the_ranges(tmp_path):

@@ -15,18 +15,14 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, update
 from adp_path_follower.study.simulation.simulate import simulate
-from adp_path_follower.study.sweeps.request.conditions import PathSource, Robot, RunSettings
-from adp_path_follower.study.sweeps.request.objectives import (
-    OBJECTIVES,
-    pareto_front,
-    unstable_runs,
+from adp_path_follower.study.sweeps.request.conditions import (
+    Conditions,
+    PathSource,
+    Robot,
+    RunSettings,
 )
-from adp_path_follower.study.sweeps.workers.runs import (
-    MEASURES,
-    Batch,
-    TrackingMeter,
-    simulate_batch,
-)
+from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES, score_of_runs
+from adp_path_follower.study.sweeps.workers.runs import MEASURES, TrackingMeter, simulate_runs
 from folders import CONFIG
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings
@@ -36,23 +32,18 @@ STARTS = np.array([[-0.5, 0.25, -0.5], [0.3, -0.2, 0.4], [0.1, 0.4, 0.0]])
 NOISY = PlantSettings(position_noise=0.01, heading_noise=0.02, command_delay=0.05)
 
 
-def batch_of(settings=PAPER, plant=None, starts=STARTS, duration=6.0, learning="cold", **changes):
-    return Batch(
-        **{
-            "first_run": 70,
-            "settings": settings,
-            "cost": settings.cost,
-            "source": PathSource("circle:0.5"),
-            "robot": Robot("mine", plant or PlantSettings(), FaultScript()),
-            "starts": starts,
-            "optimal_cost": np.full(len(starts), 2.0),
-            "first_seed": 30,
-            "run": RunSettings(
-                duration=duration, rate=50.0, learning=learning, start_arc_length=0.5
-            ),
-            **changes,
-        }
+def runs_of(settings=PAPER, plant=None, cost=None, duration=6.0, learning="cold", path=None):
+    """Return the columns of runs from the starts, with the seeds 30, 31 and 32 of noise."""
+    conditions = Conditions(
+        settings=dataclasses.replace(settings, cost=cost or settings.cost),
+        starts=STARTS,
+        forty=False,
+        paths=(path or PathSource("circle:0.5"),),
+        robots=(Robot("mine", plant or PlantSettings(), FaultScript()),),
+        noise_seeds=(10,),
+        run=RunSettings(duration=duration, rate=50.0, learning=learning, start_arc_length=0.5),
     )
+    return simulate_runs(conditions, settings, np.arange(3))
 
 
 def alone(settings, plant, start, **options):
@@ -69,13 +60,12 @@ def alone(settings, plant, start, **options):
 
 
 def test_a_row_is_the_run_of_its_start_and_seed():
-    found = simulate_batch(batch_of(plant=NOISY))
-    assert found["run"].tolist() == [70, 71, 72]
+    found = runs_of(plant=NOISY)
+    assert found["robot_seed"].tolist() == [30, 31, 32]
     for row, start in enumerate(STARTS):
         plant = dataclasses.replace(NOISY, seed=int(found["robot_seed"][row]))
         single = alone(PAPER, plant, start, record=True)
         assert found["cost"][row] == pytest.approx(single.cost[0], rel=1e-9)
-        assert found["cost_ratio"][row] == pytest.approx(single.cost[0] / 2.0, rel=1e-9)
         assert found["effort"][row] == pytest.approx(single.effort[0], rel=1e-9)
         # The distance from the path by another way: the recorded poses, searched for the nearest
         # place of the path.
@@ -93,7 +83,7 @@ def test_a_row_is_the_run_of_its_start_and_seed():
 
 
 def test_settling_is_of_the_true_motion_and_ends_below_the_limit():
-    found = simulate_batch(batch_of(build(Settings, {}), duration=8.0, learning="frozen"))
+    found = runs_of(build(Settings, {}), duration=8.0, learning="frozen")
     assert found["stable"].all()
     for row, start in enumerate(STARTS):
         single = simulate(
@@ -115,8 +105,8 @@ def test_settling_is_of_the_true_motion_and_ends_below_the_limit():
 
 def test_costs_are_counted_with_the_cost_that_was_asked_for():
     other = update(PAPER, {"state_cost": [1.0, 5.0, 1.0], "input_cost": [2.0, 1.0]})
-    own = simulate_batch(batch_of(other))
-    judged = simulate_batch(batch_of(other, cost=PAPER.cost))
+    own = runs_of(other)
+    judged = runs_of(other, cost=PAPER.cost)
     single = alone(other, None, STARTS, record=True)
     assert own["cost"] == pytest.approx(single.cost, rel=1e-9)
     # The same motion, another price: the sum over the recorded one.
@@ -131,9 +121,7 @@ def test_costs_are_counted_with_the_cost_that_was_asked_for():
 
 
 def test_frozen_weights_stay_frozen():
-    cold, frozen = (
-        simulate_batch(batch_of(learning=learning))["cost"] for learning in ("cold", "frozen")
-    )
+    cold, frozen = (runs_of(learning=learning)["cost"] for learning in ("cold", "frozen"))
     single = alone(PAPER, None, STARTS, learning="frozen")
     assert frozen == pytest.approx(single.cost, rel=1e-9)
     assert (np.abs(frozen - cold) > 1e-3).all()
@@ -141,19 +129,19 @@ def test_frozen_weights_stay_frozen():
 
 def test_what_leaves_the_path_is_not_stable():
     misprinted = update(PAPER, {"basis": "paper_misprinted"})
-    found = simulate_batch(batch_of(misprinted, duration=15.0))
+    found = runs_of(misprinted, duration=15.0)
     assert not found["stable"].any()
-    assert unstable_runs(found) == 3
+    assert score_of_runs(found).unstable == 3
     assert OBJECTIVES["cost"].of(found) > 50.0
     assert {*MEASURES, "optimal_cost", "settling_time"} <= set(found)
 
 
 def test_what_cannot_be_made_says_why():
     path = PathSource("mine", "digest", np.array([[0.0, 0.0], [0.0, 0.0]]), None)
-    found = simulate_batch(batch_of(source=path))
+    found = runs_of(path=path)
     assert all("distinct points" in text for text in found["problem"])
     assert not found["stable"].any()
-    assert set(found) == set(simulate_batch(batch_of(duration=0.2)))
+    assert set(found) == set(runs_of(duration=0.2))
 
 
 def test_the_observer_sees_every_run_at_every_step():
@@ -199,23 +187,6 @@ def test_the_end_of_a_run_decides_whether_it_is_stable():
         place = np.array([x, x, 50.0 - x, x, x])
         target = named_path("line").frame(place).pose
         meter.observe(slice(0, 128), time, pose, _Output(place, target))
-    found = meter.result()
-    assert found.ends_on_path.tolist() == [True, False, False, False, True]
-    assert found.settling_time[0] == pytest.approx(2.0, abs=0.11)
-    assert np.isinf(found.settling_time[1:]).all()
-    assert found.cross_track_max[:2] == pytest.approx([0.0, 0.6], abs=1e-9)
-
-
-def test_the_pareto_front_is_that_of_the_definition():
-    points = np.random.default_rng(0).uniform(size=(60, 2))
-    points[7] = math.nan
-    points[8, 1] = math.inf
-    points[9] = points[10]
-    dominated = [
-        any((other <= point).all() and (other < point).any() for other in points)
-        or not np.isfinite(point).all()
-        for point in points
-    ]
-    front = pareto_front(points)
-    kept = {tuple(point) for point in points[front]}
-    assert kept == {tuple(p) for p, bad in zip(points, dominated, strict=True) if not bad}
+    found = meter.columns()
+    assert found["stable"].tolist() == [True, False, False, False, True]
+    assert found["cross_track_max"][:2] == pytest.approx([0.0, 0.6], abs=1e-9)

@@ -1,8 +1,8 @@
-"""The results of a sweep as Parquet files, each written as a whole or not at all."""
+"""The folder of a sweep or a tuning; a sweep's runs are Parquet files, whole or not at all."""
 
 import fcntl
+import functools
 import io
-import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path as FilePath
@@ -14,12 +14,12 @@ import pyarrow.parquet as pq
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.files import write_whole
+from adp_path_follower.core.files import output_to, write_whole
+from adp_path_follower.study.sweeps.request.objectives import Score, score_of_runs
+from adp_path_follower.study.sweeps.request.request import Sweep
 from adp_path_follower.study.sweeps.workers.cluster import Workers
-from adp_path_follower.study.sweeps.workers.plan import Plan, work_off
-from adp_path_follower.study.sweeps.workers.runs import Columns, joined
+from adp_path_follower.study.sweeps.workers.runs import Columns, joined, run_part
 
-_MARK = b"adp_sweep"  # key of the sweep's digest in each file
 UNFINISHED = ".unfinished"  # ends the names of files that are being written
 _LOCK = ".lock"
 
@@ -39,6 +39,11 @@ class OutputFolder:
         self._description = json.loads(json.dumps(description))
         try:
             directory.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise FileError(f"output {directory} is a file: give a directory") from None
+        except OSError as error:
+            raise FileError(f"output {directory} cannot be written: {error.strerror}") from None
+        with output_to(directory):
             self._check()
             self._lock = (directory / _LOCK).open("w")
             self._claim()
@@ -46,12 +51,6 @@ class OutputFolder:
             if not self._note.exists():
                 content = {"version": __version__, kind: description}
                 self.write(self._note, (json.dumps(content, indent=1) + "\n").encode())
-        except (FileExistsError, NotADirectoryError):
-            raise FileError(f"output {directory} is a file: give a directory") from None
-        except FileError:
-            raise
-        except OSError as error:
-            raise FileError(f"output {directory} cannot be written: {error.strerror}") from None
 
     def __enter__(self) -> Self:
         """Return the folder, which no other command may use until the block ends."""
@@ -110,21 +109,15 @@ class OutputFolder:
 class PartsFolder(OutputFolder):
     """The folder of a sweep; each part in it is complete."""
 
-    def __init__(self, directory: FilePath, plan: Plan) -> None:
-        """Open or make a folder with a note KIND.json, "sweep" or "tune", of the `description`.
-
-        Raises FileError if it cannot be written, holds other work, or another command writes there.
-        """
-        super().__init__(directory, "sweep", plan.sweep.description())
-        self.plan = plan
-        self._digest = plan.sweep.digest.encode()
+    def __init__(self, directory: FilePath, sweep: Sweep) -> None:
+        """Open or make the folder of a sweep; raises FileError as `OutputFolder`."""
+        super().__init__(directory, "sweep", sweep.description())
+        self.sweep = sweep
         self.runs = directory / "runs"
-        try:
+        with output_to(self.runs):
             self.runs.mkdir(exist_ok=True)
             for leftover in self.runs.glob(f"*{UNFINISHED}"):
                 leftover.unlink()
-        except OSError as error:
-            raise FileError(f"output {self.runs} cannot be written: {error.strerror}") from None
 
     def file_of(self, part: int) -> FilePath:
         """Return the file of a part."""
@@ -132,56 +125,42 @@ class PartsFolder(OutputFolder):
 
     def missing(self) -> list[int]:
         """Return the numbers of the missing parts."""
-        return [part for part in range(self.plan.parts) if not self._is_there(part)]
+        return [part for part in range(self.sweep.parts) if not self._is_there(part)]
 
     def run(self, missing: list[int], workers: Workers, progress: Callable[[float], None]) -> None:
         """Run missing parts; `progress` takes the fraction done; an AdpError keeps others."""
-        parts = (self.plan.part(number) for number in missing)
-        for done, (part, columns) in enumerate(workers.results(work_off, parts), start=1):
-            self.add(part.number, columns)
+        found = workers.results(functools.partial(run_part, self.sweep), missing)
+        for done, (part, columns) in enumerate(found, start=1):
+            table = pa.table({name: _array(values) for name, values in columns.items()})
+            buffer = io.BytesIO()
+            pq.write_table(table, buffer)
+            self.write(self.file_of(part), buffer.getvalue())
             progress(done / len(missing))
 
-    def add(self, part: int, columns: Columns) -> None:
-        """Write a part; raise FileError if it cannot be written."""
-        table = pa.table({name: _array(values) for name, values in columns.items()})
-        buffer = io.BytesIO()
-        pq.write_table(table.replace_schema_metadata({_MARK: self._digest}), buffer)
-        self.write(self.file_of(part), buffer.getvalue())
-
-    def read(self, part: int) -> Columns:
-        """Return a part: column name -> values."""
-        table = pq.read_table(self.file_of(part))
-        return {
-            name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names
-        }
-
-    def combinations(self) -> Iterator[Columns]:
-        """Return the runs of each combination of settings, one combination after the other."""
-        pending: list[Columns] = []
-        for part in range(self.plan.parts):
-            columns = self.read(part)
-            bounds = np.flatnonzero(np.diff(columns["combination"])) + 1
-            for first, last in itertools.pairwise([0, *bounds.tolist(), len(columns["run"])]):
-                some = {name: values[first:last] for name, values in columns.items()}
-                if pending and pending[0]["combination"][0] != some["combination"][0]:
-                    yield joined(pending)
-                    pending = []
-                pending.append(some)
-        if pending:
-            yield joined(pending)
+    def scores(self) -> Iterator[Score]:
+        """Return the scores of the combinations of settings, in their order."""
+        each, size = self.sweep.conditions.runs, self.sweep.conditions.part_size
+        for combination in range(self.sweep.combinations):
+            first, last = combination * each, (combination + 1) * each - 1
+            parts = [_read(self.file_of(part)) for part in range(first // size, last // size + 1)]
+            columns = joined(parts)
+            own = columns["combination"] == combination
+            yield score_of_runs({name: values[own] for name, values in columns.items()})
 
     def _is_there(self, part: int) -> bool:
         """Return whether a part of this sweep exists, with all its runs."""
-        file = self.file_of(part)
-        if not file.exists():
-            return False
         try:
-            metadata = pq.read_metadata(file)
+            rows = pq.read_metadata(self.file_of(part)).num_rows
         except (pa.ArrowException, OSError):
-            return False  # damaged: these runs are repeated
-        expected = len(self.plan.runs_of(part))
-        mark = (metadata.metadata or {}).get(_MARK)
-        return bool(metadata.num_rows == expected and mark == self._digest)
+            return False  # missing or damaged: these runs are repeated
+        return bool(rows == len(self.sweep.runs_of(part)))
+
+
+@functools.lru_cache(maxsize=1)
+def _read(file: FilePath) -> Columns:
+    """Return the columns of a part, which may hold many combinations, one read after the other."""
+    table = pq.read_table(file)
+    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
 
 
 def _array(values: np.ndarray) -> pa.Array:
