@@ -8,7 +8,12 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.opening import opened_bag
-from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
+from adp_path_follower.core.geometry import (
+    FloatArray,
+    pose_in_frame,
+    tracking_error,
+    yaw_of_quaternion,
+)
 
 _TOPICS = ("/tf", "/tf_static")
 _TYPE = "tf2_msgs/msg/TFMessage"
@@ -57,10 +62,10 @@ class Transforms:
         known = np.ones(len(poses), dtype=bool)
         for frame in up[: up.index(shared)]:
             place, near = self._place(frame, times, by_arrival)
-            poses, known = _compose(place, poses), known & near
+            poses, known = pose_in_frame(poses, place), known & near
         for frame in reversed(down[: down.index(shared)]):
             place, near = self._place(frame, times, by_arrival)
-            poses, known = _compose(_inverse(place), poses), known & near
+            poses, known = tracking_error(poses, place), known & near
         return poses, float(known.mean()) if len(known) else 0.0
 
     def _above(self, frame: str) -> list[str]:
@@ -110,23 +115,3 @@ def read_transforms(bag: FilePath) -> Transforms:
                 continue
             found.take(time, message, connection.topic == _TOPICS[1])
     return found
-
-
-def _compose(place: FloatArray, poses: FloatArray) -> FloatArray:
-    """Return poses (N, 3) of a frame in the one in which it has places (N, 3)."""
-    cos, sin = np.cos(place[:, 2]), np.sin(place[:, 2])
-    return np.stack(
-        [
-            place[:, 0] + cos * poses[:, 0] - sin * poses[:, 1],
-            place[:, 1] + sin * poses[:, 0] + cos * poses[:, 1],
-            place[:, 2] + poses[:, 2],
-        ],
-        axis=-1,
-    )
-
-
-def _inverse(place: FloatArray) -> FloatArray:
-    """Return the place of the frame above in the one below, (N, 3)."""
-    cos, sin = np.cos(place[:, 2]), np.sin(place[:, 2])
-    x, y = place[:, 0], place[:, 1]
-    return np.stack([-cos * x - sin * y, sin * x - cos * y, -place[:, 2]], axis=-1)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame
 from adp_path_follower.messages.cdr import CdrError
 
 _HEADER = 4  # bytes of encapsulation before the first field
@@ -108,18 +108,7 @@ def is_empty(raw: bytes) -> bool:
 
 def transformed(poses: FloatArray, transform: tuple[float, ...]) -> FloatArray:
     """Return poses (N, 3) in a frame where theirs is at x, y [m] and turn [rad]; empty for none."""
-    if not transform:
-        return poses
-    x, y, turn = transform
-    cos, sin = np.cos(turn), np.sin(turn)
-    return np.stack(
-        [
-            x + cos * poses[:, 0] - sin * poses[:, 1],
-            y + sin * poses[:, 0] + cos * poses[:, 1],
-            poses[:, 2] + turn,
-        ],
-        axis=1,
-    )
+    return pose_in_frame(poses, np.asarray(transform)) if transform else poses
 
 
 def _too_short() -> CdrError:

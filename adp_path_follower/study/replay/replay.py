@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -45,6 +46,20 @@ class Replay:
     # Number of a step and what the controller would have said before it, of the first and of each
     # that something changed before.
     configurations: tuple[tuple[int, str], ...]
+
+    @classmethod
+    def by(
+        cls,
+        driver: RecordedDriver,
+        steps: Steps,
+        recorded: FloatArray,
+        outputs: list[FollowerOutput],
+        cost: list[float],
+    ) -> Self:
+        """Return the replay that a driver has made."""
+        said = tuple(driver.configurations)
+        follower, settings = driver.follower, driver.settings
+        return cls(follower, settings, steps, recorded, outputs, np.array(cost), said)
 
     @property
     def stamp(self) -> np.ndarray:
@@ -97,15 +112,7 @@ def replay(
     steps = Steps(*(values[:count] for values in vars(steps).values()))
     commands = np.array([output.command for output in outputs])
     recorded = _recorded(run.series.get("cmd_vel"), steps, commands)
-    return Replay(
-        driver.follower,
-        driver.settings,
-        steps,
-        recorded,
-        outputs,
-        np.array(cost),
-        tuple(driver.configurations),
-    )
+    return Replay.by(driver, steps, recorded, outputs, cost)
 
 
 def steps_of(run: Run) -> Steps:
@@ -205,13 +212,4 @@ def rerun(
     motion = np.column_stack([velocities, np.zeros(count)])
     steps = Steps(stamp_array, np.array(poses), arrival, motion)
     nothing = np.full((count, 2), np.nan)
-    found = Replay(
-        driver.follower,
-        driver.settings,
-        steps,
-        nothing,
-        outputs,
-        np.array(cost),
-        tuple(driver.configurations),
-    )
-    return found, np.array(velocities)
+    return Replay.by(driver, steps, nothing, outputs, cost), np.array(velocities)
