@@ -8,13 +8,11 @@ import pkgutil
 import re
 import runpy
 
-import click
 import pytest
 import yaml
 from click.testing import CliRunner
 
 from adp_path_follower import __version__
-from adp_path_follower.cli.main import adp
 from adp_path_follower.cli.parameters import parameters
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
@@ -160,15 +158,16 @@ def test_tests_and_modules_that_the_docs_name_exist(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_of_the_docs_have_the_options_that_they_name(page):
+def test_targets_executables_and_extras_that_the_docs_name_exist(page):
+    """`test_docs_commands.py` runs the commands; these need a network or ROS."""
     text = page.read_text(encoding="utf-8")
-    for name, rest in re.findall(r"(?:^|`|\$ |    )adp ([a-z]+)\b([^`\n]*)", text, re.M):
-        command = adp.get_command(click.Context(adp), name)
-        assert command is not None, name
-        known = {option for parameter in command.params for option in parameter.opts}
-        assert set(re.findall(r"(?<!\S)--[a-z-]+", rest)) <= {*known, "--help"}, f"adp {name}{rest}"
-    for target in re.findall(r"`make (\w+)`", text):
-        assert f"\n{target}:" in (ROOT / "Makefile").read_text(encoding="utf-8"), target
+    makefile, setup = ((ROOT / name).read_text() for name in ("Makefile", "setup.py"))
+    for target in re.findall(r"(?:`|^ *)make (\w+)", text, re.M):
+        assert f"\n{target}:" in makefile, target
+    for executable in re.findall(r"ros2 run adp_path_follower (\w+)", text):
+        assert f'"{executable} = adp_path_follower.' in setup, executable
+    for extra in re.findall(r"(?:adp_path_follower|'\.)\[(\w+)\]", text):
+        assert f'"{extra}": ' in setup, extra
 
 
 def test_pages_that_code_and_configuration_name_exist():

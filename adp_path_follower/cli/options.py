@@ -14,7 +14,7 @@ import numpy as np
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.library import PATH_HELP
 from adp_path_follower.core.settings.parameter_file import load_settings
-from adp_path_follower.resources import parameter_file
+from adp_path_follower.resources import FORTY_STARTS, parameter_file
 from adp_path_follower.study.simulation.simulate import PAPER_START, read_starts
 from sim_unicycle.robots import with_robot
 from sim_unicycle.settings import SimulatorSettings
@@ -141,8 +141,8 @@ def start_options(command: Command) -> Command:
         "--starts",
         "starts_file",
         type=FILE,
-        metavar="FILE.csv",
-        help="Initial errors as a CSV file with the columns s,y,theta.",
+        metavar="forty|FILE.csv",
+        help="Initial errors: the reference's forty, or a CSV file with the columns s,y,theta.",
     )(command)
     return click.option(
         "--start",
@@ -199,7 +199,8 @@ def collect_starts(
     """Return the initial errors of --start and --starts, shape (B, 3); may raise FileError."""
     errors = np.array(starts, dtype=float).reshape(-1, 3)
     if starts_file is not None:
-        errors = np.vstack([errors, read_starts(starts_file)])
+        file = FORTY_STARTS if str(starts_file) == "forty" else starts_file
+        errors = np.vstack([errors, read_starts(file)])
     return errors if len(errors) else np.array([PAPER_START])
 
 
