@@ -21,6 +21,7 @@ _COMMANDS = {
     "compare": "Compare the controller with its peers, and all with the offline optimum.",
     "demo": "Drive the paper's figure eight with real ROS 2 nodes.",
     "docs": "Print a page of the documentation.",
+    "identify": "Find delay, lag, gains, bias and noise of the robot in a bag.",
     "optimum": "Find what the best controller would cost, by offline optimal control.",
     "paper": "Reproduce the paper's figures, and what they do not show.",
     "parameters": "Show the parameters, as a YAML file or as a table.",
@@ -30,6 +31,7 @@ _COMMANDS = {
     "sweep": "Simulate many settings on many starts, paths and robots, on all cores.",
     "tune": "Search for better settings by simulation, on all cores.",
 }
+_OF_BAGS = ("analyze", "identify", "recover", "replay")
 
 
 class _LazyGroup(click.Group):
@@ -48,7 +50,8 @@ class _LazyGroup(click.Group):
             return docs
         if cmd_name not in _COMMANDS:
             return None
-        module = importlib.import_module(f"adp_path_follower.cli.{cmd_name}")
+        folder = "cli.bags" if cmd_name in _OF_BAGS else "cli"
+        module = importlib.import_module(f"adp_path_follower.{folder}.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         _mark_examples(command)
         return command

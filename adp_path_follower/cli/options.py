@@ -39,7 +39,14 @@ class _Parameters(click.ParamType):
 _PARAMETERS = _Parameters()
 
 
-_TOPICS = {"odom": "odom", "cmd": "cmd_vel", "path": "path"}  # option -> what a topic is read as
+_FOUND = "any named '{}', or the only one of its type,"
+# Option -> what a topic is read as, in words, and what holds without the option.
+_TOPICS = {
+    "odom": ("odom", "odometry", _FOUND.format("odom")),
+    "cmd": ("cmd_vel", "commands", _FOUND.format("cmd_vel")),
+    "path": ("path", "path", _FOUND.format("path")),
+    "pose": ("ground_truth", "odometry with a localised pose", "the odometry"),
+}
 
 
 def settings_options(command: Command) -> Command:
@@ -101,19 +108,22 @@ def simulator_options(command: Command) -> Command:
     )(found)  # type: ignore[return-value]
 
 
-def topic_options(command: Command) -> Command:
-    """Add --odom, --cmd and --path, of which `given_topics` makes one mapping."""
-    for name, what in (("path", "path"), ("cmd", "commands"), ("odom", "odometry")):
-        key = _TOPICS[name]
-        text = f"Topic of the {what} in the bag; any named '{key}', or the only one of its type, "
-        text += "if not given."
-        command = click.option(f"--{name}", metavar="TOPIC", help=text)(command)
-    return command
+def topic_options(*names: str) -> Callable[[Command], Command]:
+    """Add options such as --odom, --cmd and --path, of which `given_topics` makes one mapping."""
+
+    def with_topics(command: Command) -> Command:
+        for name in names:
+            _, what, default = _TOPICS[name]
+            text = f"Topic of the {what} in the bag; {default} if not given."
+            command = click.option(f"--{name}", metavar="TOPIC", help=text)(command)
+        return command
+
+    return with_topics
 
 
 def given_topics(**topics: str | None) -> dict[str, str]:
-    """Return "odom", "cmd_vel" and "path" -> topic, of those options that were given."""
-    return {_TOPICS[name]: topic for name, topic in topics.items() if topic is not None}
+    """Return "odom", "cmd_vel" and others -> topic, of those options that were given."""
+    return {_TOPICS[name][0]: topic for name, topic in topics.items() if topic is not None}
 
 
 def path_option(command: Command) -> Command:

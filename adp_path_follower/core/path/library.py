@@ -1,7 +1,8 @@
 """Built-in paths and path files: one name for a path everywhere.
 
-A path is named ``lissajous`` (the paper's figure eight), ``line``, ``circle:KAPPA`` with the
-signed curvature in 1/m, or by a CSV or YAML file.
+A path is named ``lissajous`` (the paper's figure eight), ``line``, ``identify`` (a short slalom
+that excites all that `adp identify` looks for), ``circle:KAPPA`` with the signed curvature in 1/m,
+or by a CSV or YAML file.
 """
 
 import difflib
@@ -21,8 +22,9 @@ from adp_path_follower.core.path.route import Route, route_of
 from adp_path_follower.core.settings.groups import PathSettings
 
 PATH_HELP = (
-    "lissajous (the paper's figure eight), line, circle:KAPPA (curvature in 1/m, positive to the "
-    "left), or a file: CSV with columns x,y or YAML with 'points: [[x, y], ...]'"
+    "lissajous (the paper's figure eight), line, identify (a short slalom for adp identify), "
+    "circle:KAPPA (curvature in 1/m, positive to the left), or a file: CSV with columns x,y or "
+    "YAML with 'points: [[x, y], ...]'"
 )
 _HEADINGS = ("th", "theta", "yaw", "heading")  # columns of which a file may have one
 _LINE_LENGTH = 100.0  # [m]
@@ -39,11 +41,13 @@ def named_path(name: str, settings: PathSettings | None = None) -> Path:
         return lissajous()
     if name == "line":
         return Path.from_points([[0.0, 0.0], [_LINE_LENGTH, 0.0]], closed=False)
+    if name == "identify":
+        return slalom()
     if name.startswith("circle:"):
         return circle(_curvature(name))
     if is_path_file(name):
         return path_from_file(expanded(name), settings)
-    meant = difflib.get_close_matches(name, ("lissajous", "line", "circle:"), 1)
+    meant = difflib.get_close_matches(name, ("lissajous", "line", "identify", "circle:"), 1)
     if name.partition(":")[0] in difflib.get_close_matches("circle", [name.partition(":")[0]]):
         meant = [f"circle:{name.partition(':')[2] or 'KAPPA'}"]
     hint = f", did you mean '{meant[0]}'?" if meant else ":"
@@ -58,6 +62,15 @@ def lissajous() -> Path:
         np.linspace(0.0, 2.0 * math.pi, 401),
         closed=True,
     )
+
+
+def slalom() -> Path:
+    """Return 12 m along +x with ever shorter swings of up to 0.25 m, straight at both ends."""
+    x = np.linspace(0.0, 12.0, 601)
+    swing = np.clip((x - 2.0) / 8.0, 0.0, 1.0)
+    phase = 2.8 * math.pi * (1.6 * swing + 0.9 * swing**2)
+    envelope = np.sin(math.pi * swing) ** 2
+    return Path.from_points(np.column_stack([x, 0.25 * envelope * np.sin(phase)]), closed=False)
 
 
 def _curvature(name: str) -> float:

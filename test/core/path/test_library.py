@@ -31,6 +31,11 @@ def test_the_names_of_built_in_paths(figure_eight):
     assert named_path("lissajous").digest() == figure_eight.digest()
     assert not named_path("line").closed
     np.testing.assert_allclose(named_path("line").frame(7.0).pose, [7.0, 0.0, 0.0], atol=1e-12)
+    slalom = named_path("identify")
+    np.testing.assert_allclose(slalom.frame(slalom.length).pose, [12.0, 0.0, 0.0], atol=1e-3)
+    bends = slalom.curvature(np.linspace(0.0, slalom.length, 500))
+    assert 1.5 < bends.max() < 2.5
+    assert -2.5 < bends.min() < -1.5
     assert named_path("circle:0.5").digest() == circle(0.5).digest()
     assert float(named_path("circle:-2e0").curvature(0.1)) == pytest.approx(-2.0, rel=1e-5)
 

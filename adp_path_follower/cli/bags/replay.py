@@ -33,7 +33,7 @@ from adp_path_follower.study.replay.write_bag import write_replay
 
 @click.command()
 @click.argument("bag", type=FILE)
-@topic_options
+@topic_options("path", "cmd", "odom")
 @settings_options
 @click.option(
     "--closed-loop",

@@ -34,7 +34,7 @@ _WITH_TOPICS = re.compile(rf"(?P<bag>.+?):(?P<topics>{_ONE_TOPIC}(?:,{_ONE_TOPIC
 @click.command()
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...")
 @out_option("report", "report, figures and numbers")
-@topic_options
+@topic_options("path", "cmd", "odom")
 @settings_options
 @click.option(
     "--require",

@@ -1,0 +1,100 @@
+"""`adp identify`: the robot that a bag shows."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING
+
+import click
+
+from adp_path_follower.cli.options import given_topics, out_option, topic_options
+from adp_path_follower.cli.outputs import json_option, output_directory, write_json
+from adp_path_follower.core.files import write_output
+
+if TYPE_CHECKING:  # scipy's solvers, which `--help` need not wait for
+    from adp_path_follower.analysis.identification.identify import Identification, Parameter
+
+
+@click.command()
+@click.argument("bags", nargs=-1, required=True, metavar="BAG...")
+@out_option("identify", "robot.yaml and the figure")
+@topic_options("pose", "cmd", "odom")
+@json_option("Write the parameters with their intervals")
+def identify(
+    bags: tuple[str, ...],
+    directory: FilePath,
+    odom: str | None,
+    cmd: str | None,
+    pose: str | None,
+    json_file: FilePath | None,
+) -> None:
+    r"""Find delay, lag, gains, bias and noise of the robot that drove in some bags.
+
+    Any bag with odometry and velocity commands will do, of Nav2 or another controller, too; several
+    are taken together. Gains and bias come from the pose, so it must be localised: if odometry is
+    the integral of the encoders, name a topic that is better by --pose.
+
+    \b
+    A drive for it, recorded:
+        ros2 launch adp_path_follower follow.launch.py use_sim:=false \
+            path:=identify record:=true
+    Its robot:
+        adp identify adp_run_DATE --out robot
+    Try it:
+        adp simulate --params robot/robot.yaml --robot robot/robot.yaml
+
+    Prints each parameter with an interval of 95 %, or which drive would tell it. Writes robot.yaml
+    (robot_model: given for the controller, and the same robot for the simulator) and robot.png.
+    """
+    from adp_path_follower.analysis.identification.identify import identify as identified
+    from adp_path_follower.analysis.identification.recording import read_recording
+    from adp_path_follower.drawing.robot_figure import draw_robot
+
+    topics = given_topics(odom=odom, cmd=cmd, pose=pose)
+    with output_directory(directory):
+        found = identified([read_recording(FilePath(bag), topics) for bag in bags])
+        head = f"# The robot of {', '.join(FilePath(bag).name for bag in bags)}, by adp identify.\n"
+        write_output(directory / "robot.yaml", head + found.yaml())
+        draw_robot(found.courses, directory / "robot.png")
+    click.echo(_table(found))
+    for note in found.notes:
+        click.echo(f"adp: {note}", err=True)
+    if found.missing:
+        click.echo("adp: --path identify is a short slalom that tells all of them", err=True)
+    click.echo(f"\nIn {directory}: robot.yaml, robot.png")
+    if json_file is not None:
+        write_json(json_file, _numbers(found))
+
+
+def _table(found: Identification) -> str:
+    lines = [f"{'':18}{'value':>10}     95 % interval"]
+    lines += [_line(item) for item in found.parameters]
+    shares = [
+        f"{100.0 * share:.1f} % of {name}"
+        for name, share in zip("vω", found.explained, strict=True)
+        if math.isfinite(share)
+    ]
+    return "\n".join([*lines, *([f"the model explains {' and '.join(shares)}"] if shares else [])])
+
+
+def _line(item: Parameter) -> str:
+    if item.drive:
+        return f"{item.name:18}{'not told':>10}     {item.drive}"
+    if not math.isfinite(item.value):
+        return f"{item.name:18}{'–':>10}"
+    interval = f"{item.low:.4g} … {item.high:.4g}"
+    return f"{item.name:18}{item.value:10.4g}     {interval} {item.unit}".rstrip()
+
+
+def _numbers(found: Identification) -> dict[str, object]:
+    return {
+        "parameters": {
+            item.name: {"unit": item.unit, "not_told": item.drive}
+            if item.drive
+            else {"unit": item.unit, "value": item.value, "low": item.low, "high": item.high}
+            for item in found.parameters
+        },
+        "explained": dict(zip(("v", "w"), found.explained, strict=True)),
+        "notes": found.notes,
+    }
