@@ -52,7 +52,6 @@ _CANDIDATE = re.compile(rb"(?s)[\x01-\x0f](?=.{3}[\x00-\x08]\x00{4})|" + MAGIC)
 MOST_BYTES = 128 * 1024 * 1024  # of a record that is read, and of a chunk when unpacked
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, length of a name
 _LONGEST_NAME = 8  # of a compression: lz4, zstd
-_PIECE = 256 * 1024
 
 
 @dataclass(frozen=True)
@@ -98,38 +97,22 @@ def unpack_chunk(chunk: Chunk) -> bytes | None:
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """Return what a compressed chunk unpacks to, up to one piece more than it says."""
-    content = bytearray()
+    """Return what a compressed chunk unpacks to, at most a byte more than it says."""
     try:
-        for piece in _lz4(chunk) if chunk.compression == "lz4" else _zstd(chunk):
-            content += piece
-            if len(content) > chunk.size:
-                break
+        if chunk.compression == "lz4":
+            from lz4.frame import LZ4FrameDecompressor
+
+            return bytes(LZ4FrameDecompressor().decompress(chunk.data, chunk.size + 1))
+        import zstandard
+
+        reader = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(chunk.data))
+        return bytes(reader.read(chunk.size + 1))
     except ImportError as error:
         raise FileError(
             f"the bag is packed with {chunk.compression}: install the Python package {error.name}"
         ) from None
     except Exception:  # lz4 and zstandard have no common error for data that is damaged
-        return bytes(content)
-    return bytes(content)
-
-
-def _lz4(chunk: Chunk) -> Iterator[bytes]:
-    from lz4.frame import LZ4FrameDecompressor
-
-    unpacker = LZ4FrameDecompressor()
-    piece = unpacker.decompress(chunk.data, _PIECE)
-    while piece:
-        yield piece
-        piece = b"" if unpacker.eof else unpacker.decompress(b"", _PIECE)
-
-
-def _zstd(chunk: Chunk) -> Iterator[bytes]:
-    import zstandard
-
-    reader = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(chunk.data))
-    while piece := reader.read(_PIECE):
-        yield piece
+        return b""
 
 
 class Record(NamedTuple):

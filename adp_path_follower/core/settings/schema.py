@@ -8,6 +8,7 @@ declaration, so they cannot disagree.
 
 import dataclasses
 import difflib
+import functools
 import math
 import typing
 from collections.abc import Mapping, Sequence
@@ -95,6 +96,11 @@ def setting(default: Any, doc: str, **spec: Any) -> Any:
 
 def setting_fields(tree: Any) -> tuple[SettingField, ...]:
     """Return every setting of a tree (a class), in order of declaration."""
+    return _fields_of(tree)
+
+
+@functools.cache  # as types are slow to look up, and settings are made by the thousand in sweeps
+def _fields_of(tree: Any) -> tuple[SettingField, ...]:
     found = []
     for group_name, group in typing.get_type_hints(tree).items():
         hints = typing.get_type_hints(group)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adp_path_follower.core.control import error_dynamics
@@ -236,11 +237,9 @@ def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...]) -> Figure:
             )
     weights.plot([], [], "k-", label="weight of y θ")
     weights.plot([], [], "k--", label="weight of y²")
-    lateral.set_ylabel("y [m]")
-    lateral.set_ylim(-0.6, 0.6)
-    weights.set_ylabel("actor weight")
-    weights.set_xlabel("time [s]")
-    lateral.set_title("The printed laws for ten minutes: lateral regulation is unlearned")
+    title = "The printed laws for ten minutes: lateral regulation is unlearned"
+    lateral.set(ylabel="y [m]", ylim=(-0.6, 0.6), title=title)
+    weights.set(xlabel="time [s]", ylabel="actor weight")
     for axes in (lateral, weights):
         axes.legend(loc="upper right")
     figure.tight_layout()
@@ -248,20 +247,14 @@ def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...]) -> Figure:
 
 
 def _excitation(theorem: Theorem) -> Figure:
-    figure = Figure(figsize=(7.0, 3.8))
-    axes = figure.subplots()
+    figure, axes = _panel("Rank condition: Σ ω ωᵀ / p")
     axes.plot(theorem.excitation_time, theorem.excitation, color=COLORS[0])
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("smallest singular value")
-    axes.set_ylim(bottom=0.0)
-    axes.set_title("Rank condition: Σ ω ωᵀ / p")
-    figure.tight_layout()
+    axes.set(xlabel="time [s]", ylabel="smallest singular value", ylim=(0.0, None))
     return figure
 
 
 def _gain_conditions(theorem: Theorem) -> Figure:
-    figure = Figure(figsize=(7.0, 3.8))
-    axes = figure.subplots()
+    figure, axes = _panel("The theorem's sufficient gain conditions")
     names = ("q_min", "c_min")
     has = (theorem.least_state_cost, float(theorem.excitation.min()))
     needs = (theorem.cost_needed, theorem.excitation_needed)
@@ -273,24 +266,25 @@ def _gain_conditions(theorem: Theorem) -> Figure:
             axes.text(position, value, f"{value:.3g}", ha="center", va="bottom")
     axes.set_yscale("log")
     axes.set_xticks(place, names)
-    axes.set_title("The theorem's sufficient gain conditions")
     axes.legend()
-    figure.tight_layout()
     return figure
 
 
 def _lyapunov(theorem: Theorem) -> Figure:
-    figure = Figure(figsize=(7.0, 3.8))
-    axes = figure.subplots()
+    figure, axes = _panel("Lyapunov candidate V_L = V* + ½‖W̃c‖² + ½‖W̃a‖²")
     axes.plot(theorem.time, theorem.lyapunov, "-o", color=COLORS[0], label="V_L", markersize=3)
     axes.plot(theorem.time, theorem.value, "-o", color=COLORS[1], label="V* alone", markersize=3)
     axes.plot(theorem.time, theorem.residual, "-o", color=COLORS[2], label="‖ε′‖", markersize=3)
-    axes.set_yscale("log")
-    axes.set_xlabel("time [s]")
-    axes.set_title("Lyapunov candidate V_L = V* + ½‖W̃c‖² + ½‖W̃a‖²")
+    axes.set(xlabel="time [s]", yscale="log")
     axes.legend()
-    figure.tight_layout()
     return figure
+
+
+def _panel(title: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(7.0, 3.8), layout="tight")
+    axes = figure.subplots()
+    axes.set_title(title)
+    return figure, axes
 
 
 def view_of_simulation(

@@ -119,7 +119,7 @@ class _Axis:
 
     def __init__(self, item: Variation, found: Results) -> None:
         self.name = item.name
-        values = [found.values(trial)[item.name] for trial in found.trials]
+        values = [item.value(trial.params[item.name]) for trial in found.trials]
         if isinstance(item, Listed):
             self.labels = [shown(value) for value in item.values]
             self.bins = np.array([item.values.index(value) for value in values])

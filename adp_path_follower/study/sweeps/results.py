@@ -259,7 +259,7 @@ def _importance_lines(found: Results, best: FrozenTrial) -> list[str]:
                 "–" if share is None else f"{100.0 * share:.0f} %",
                 shown(item.before(base[item.field.name])),
                 shown(values[item.name]),
-                _where(item, [found.values(trial)[item.name] for trial in good])
+                _where(item, [item.value(trial.params[item.name]) for trial in good])
                 + ("  (at the end of its range: widen it?)" * item.is_at_end(values[item.name])),
             )
         )

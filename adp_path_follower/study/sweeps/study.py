@@ -30,12 +30,14 @@ def sweep_study(sweep: Sweep, scores: Iterable[Score]) -> optuna.Study:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     objectives = sweep.objectives[:_FRONT]
     study = optuna.create_study(directions=["minimize"] * len(objectives))
+    distributions = sweep.distributions
     for number, score in enumerate(scores):
+        varied = sweep.varied(number)
         study.add_trial(
             create_trial(
                 values=[score.objectives[name] for name in objectives],
-                params=sweep.parameters(flatten(sweep.settings(number))),
-                distributions=sweep.distributions,
+                params={item.name: item.parameter(varied[item.name]) for item in sweep.variations},
+                distributions=distributions,
                 user_attrs={_SCORE: asdict(score)},
                 constraints={_UNSTABLE: float(score.unstable)},
             )

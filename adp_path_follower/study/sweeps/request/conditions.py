@@ -253,14 +253,11 @@ def _robots(entries: Mapping[str, object]) -> tuple[Robot, ...]:
 
 def _noise_seeds(given: object, robots: tuple[Robot, ...], starts: int) -> tuple[int, ...]:
     most = _MOST_SEED // starts - 1
-    listed = given if isinstance(given, list) else [given]
-    seeds = [seed for seed in listed if isinstance(seed, int) and not isinstance(seed, bool)]
-    if len(seeds) < len(listed):
-        seeds = []
-    elif not isinstance(given, list):
-        seeds = list(range(min(seeds[0], _MOST_SEEDS + 1)))
-    allowed = all(0 <= seed <= most for seed in seeds) and len(set(seeds)) == len(seeds)
-    if not 0 < len(seeds) <= _MOST_SEEDS or not allowed:
+    seeds = given if isinstance(given, list) else []
+    if isinstance(given, int) and not isinstance(given, bool):
+        seeds = list(range(min(given, _MOST_SEEDS + 1)))
+    allowed = all(type(seed) is int and 0 <= seed <= most for seed in seeds)
+    if not (allowed and 0 < len(seeds) == len(set(seeds)) <= _MOST_SEEDS):
         raise SettingsError(
             f"'noise_seeds' is {given!r}, but must be a number of sequences (at most "
             f"{_MOST_SEEDS}), or a list of different integers from 0 to {most}"

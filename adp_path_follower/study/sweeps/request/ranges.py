@@ -1,5 +1,6 @@
 """Variations of a setting: listed values, or a range of numbers."""
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ class Listed:
         """Return the setting's name."""
         return self.field.name
 
-    @property
+    @functools.cached_property
     def distribution(self) -> CategoricalDistribution:
         """Return the values as Optuna has them: as texts."""
         return CategoricalDistribution([yaml_text(value) for value in self.values])
@@ -79,7 +80,7 @@ class Range:
         """Return whether its values are whole numbers."""
         return (self.field.item_kind or self.field.kind) is int
 
-    @property
+    @functools.cached_property
     def distribution(self) -> IntDistribution | FloatDistribution:
         """Return the range as Optuna has it."""
         if self.integer:

@@ -4,12 +4,10 @@ import contextlib
 import logging
 import os
 import signal
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from types import FrameType
 from typing import Any, TypeVar
 
 from distributed import Client, LocalCluster
@@ -19,6 +17,7 @@ from distributed.security import Security
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.resources import PACKAGE
 
 Work = TypeVar("Work")
 _CONNECTING = 5.0  # [s] that a scheduler has to answer
@@ -26,6 +25,7 @@ _FIRST_WORKER = 30.0  # [s] that a scheduler has to find a worker
 _WAITING_EACH = 2  # pieces of work for each worker: it never waits for the next
 # Run by each worker: the whole terminal gets Ctrl-C, but only the command answers it.
 _NO_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+_LOOK = 0.2  # [s] between two looks for an interrupt
 _RETRIES = 2  # of work that failed; a worker that dies is not counted
 
 
@@ -33,7 +33,7 @@ class Workers:
     """Workers elsewhere."""
 
     def __init__(self, client: Client, check_interrupts: Callable[[], None]) -> None:
-        """Take a connected client, and what raises interrupts that were noted."""
+        """Take a connected client, and what raises KeyboardInterrupt after Ctrl-C."""
         self._client, self._check_interrupts = client, check_interrupts
 
     @property
@@ -49,6 +49,10 @@ class Workers:
         """Wait for the result; AdpError if the work failed or the scheduler is gone."""
         self._check_interrupts()
         try:
+            while not future.done():
+                self._check_interrupts()
+                with contextlib.suppress(TimeoutError):
+                    future.result(_LOOK)
             return future.result()
         except KilledWorker as error:
             raise AdpError(
@@ -150,36 +154,24 @@ def _check_address(address: str) -> None:
 
 def _check_versions(client: Client, address: str) -> None:
     """Reject workers without this version of the package."""
-
-    def version() -> str:
-        try:
-            import adp_path_follower.study.sweeps.workers.runs  # whether it is there
-
-            return str(adp_path_follower.__version__)
-        except ImportError as error:
-            return f"none ({error})"
-
-    for worker, found in client.run(version).items():
-        if found != __version__:
+    versions_of: Any = client.get_versions(packages=[PACKAGE])
+    for worker, versions in versions_of["workers"].items():
+        version = versions["packages"].get(PACKAGE) or "none"
+        if version != __version__:
             raise AdpError(
-                f"worker {worker} of scheduler '{address}' has adp_path_follower {found}, but this "
-                f"is {__version__}: install the same on all machines"
+                f"worker {worker} of scheduler '{address}' has adp_path_follower {version}, but "
+                f"this is {__version__}: install the same on all machines"
             )
 
 
 @contextlib.contextmanager
 def noted_interrupts() -> Iterator[Callable[[], None]]:
-    """Note SIGINT while it raises `KeyboardInterrupt`; yield what raises it again if there was one.
+    """Note SIGINT, which raises nothing; yield what raises `KeyboardInterrupt` after one.
 
     Python ignores an exception in a destructor or a callback of the garbage collector, and Dask has
-    both: without the note the work would go on. Only the main thread is ever interrupted.
+    both: an interrupt that raised at once would be lost there. Only the main thread receives it.
     """
-    received = False
-
-    def receive(number: int, frame: FrameType | None) -> None:
-        nonlocal received
-        received = True
-        raise KeyboardInterrupt
+    received: list[int] = []
 
     def check() -> None:
         if received:
@@ -188,15 +180,8 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield check
         return
-
-    def warn(unraisable: "sys.UnraisableHookArgs") -> None:
-        if unraisable.exc_type is not KeyboardInterrupt:
-            usual_warning(unraisable)
-
-    before, usual_warning = signal.signal(signal.SIGINT, receive), sys.unraisablehook
-    sys.unraisablehook = warn
+    before = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
     try:
         yield check
     finally:
-        sys.unraisablehook = usual_warning
         signal.signal(signal.SIGINT, before)

@@ -37,13 +37,11 @@ class OutputFolder:
         self.directory, self._kind = directory, kind
         self._note = directory / f"{kind}.json"
         self._description = json.loads(json.dumps(description))
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-        except (FileExistsError, NotADirectoryError):
-            raise FileError(f"output {directory} is a file: give a directory") from None
-        except OSError as error:
-            raise FileError(f"output {directory} cannot be written: {error.strerror}") from None
         with output_to(directory):
+            try:
+                directory.mkdir(parents=True, exist_ok=True)
+            except (FileExistsError, NotADirectoryError):
+                raise FileError(f"output {directory} is a file: give a directory") from None
             self._check()
             self._lock = (directory / _LOCK).open("w")
             self._claim()
