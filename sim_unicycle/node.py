@@ -13,7 +13,6 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock as ClockMessage
-from std_srvs.srv import Trigger
 
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
@@ -25,6 +24,7 @@ from adp_path_follower.ros.runtime.conversions import (
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
 from adp_path_follower.ros.runtime.qos import EVERY_STEP, LOSSLESS
 from adp_path_follower.ros.runtime.run import Ending, run_node
+from adp_path_follower.ros.runtime.triggers import trigger_service
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.odometry import Reading
 from sim_unicycle.robots import with_robot
@@ -87,7 +87,7 @@ class SimulatorNode(Ending, Node):
         self._command_subscription = self._subscribe_commands()
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DISCOVERY_PERIOD, self._match_command_type, clock=steady_clock)
-        self.create_service(Trigger, "~/reset", self._reset)
+        trigger_service(self, "~/reset", self._reset)
         period = self._period / NANOSECONDS / simulation.real_time_factor
         if simulation.lockstep:
             self._publish(self._settings)
@@ -116,11 +116,10 @@ class SimulatorNode(Ending, Node):
 
         return take_over
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> str:
         self._robot = self._new_robot()
         self._command, self._script_start = _ZERO, None
-        response.success, response.message = True, "robot is at its start again"
-        return response
+        return "robot is at its start again"
 
     # Commands
 

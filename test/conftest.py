@@ -70,6 +70,16 @@ def start(domain: int, tmp_path: FilePath, node_server: Any) -> Iterator[Callabl
 
 
 @pytest.fixture
+def interfaces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this process, and those that it starts, import nav2_msgs and tf2_msgs."""
+    from interfaces import built_interfaces
+
+    folder = str(built_interfaces())
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", folder, prepend=os.pathsep)
+
+
+@pytest.fixture
 def drive(peer: Any, start: Callable[..., Any]) -> Any:
     """Return a controller that follows a line."""
     from live_nodes import Drive

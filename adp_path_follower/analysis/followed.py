@@ -48,9 +48,7 @@ def followed_routes(
     if path is not None:
         found = [(0, route_along(path), "")]
     else:
-        # Our own controller names its path in the odometry's frame.
-        found = [(time, route, "") for time, route in RecordedRoutes(run).in_force()]
-        found = found or _recorded(bag, run, notes)
+        found = RecordedRoutes(run).in_force() or _recorded(bag, run, notes)
     times = np.array([time for time, _, _ in found], dtype=np.int64)
     in_force = np.searchsorted(clock.stamps(times), odometry.series.stamp, side="right") - 1
     in_force = np.clip(in_force, 0, len(found) - 1)
@@ -86,7 +84,7 @@ def _recorded(bag: FilePath, run: Run, notes: list[str]) -> list[tuple[int, Rout
             continue
         try:
             route = recorded.followed(number)
-            found.append((time, route or route_along(poses, tolerance), "" if route else frame))
+            found.append((time, route or route_along(poses, tolerance), frame))
         except AdpError as error:
             problem = str(error)
             notes.append(f"a path was passed over: {problem}")

@@ -184,27 +184,31 @@ class _Collector:
         """Return what takes the messages of a topic that is not a series of numbers."""
         take = {
             "path": self._take_path,
+            "goal_path": self._take_path,
             "configuration": self._take_configuration,
             "initial_weights": self._take_initial_weights,
             "diagnostics": self._take_diagnostics,
         }[key]
 
+        is_path = kind == "nav_msgs/msg/Path"
+
         def handle(time: int, raw: bytes) -> None:
-            if key == "path" and raw == self._last_path:  # published again, unchanged
+            if is_path and raw == self._last_path:  # published again, unchanged
                 return
             try:
-                message = read_path(raw) if key == "path" else store.deserialize_cdr(raw, kind)
+                message = read_path(raw) if is_path else store.deserialize_cdr(raw, kind)
             except Exception:  # whatever a damaged message does to the library
                 self._undecodable[key] = self._undecodable.get(key, 0) + 1
                 return
-            self._last_path = raw if key == "path" else self._last_path
+            self._last_path = raw if is_path else self._last_path
             take(time, message)
 
         return handle
 
     def _take_path(self, time: int, message: Any) -> None:
         poses = message.poses
-        if not self._paths or not np.array_equal(poses, self._paths[-1][1], equal_nan=True):
+        same = self._frames and message.frame == self._frames[-1]
+        if not same or not np.array_equal(poses, self._paths[-1][1], equal_nan=True):
             self._paths.append((time, poses))
             self._frames.append(message.frame)
 

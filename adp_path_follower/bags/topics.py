@@ -30,6 +30,7 @@ SERIES = {
 }
 _OTHERS = {
     "path": _PATH,
+    "goal_path": _PATH,
     "configuration": ("std_msgs/msg/String",),
     "initial_weights": ("std_msgs/msg/UInt8MultiArray",),
     "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray",),
@@ -57,6 +58,8 @@ class _Bag:
         for connection in connections:
             kinds = self.counts.setdefault(connection.topic, {})
             kinds[connection.msgtype] = kinds.get(connection.msgtype, 0) + connection.msgcount
+        nodes = {topic.split("/")[-2] for topic in self.counts if topic.endswith("/measured_pose")}
+        self.node = nodes.pop() if len(nodes) == 1 else _NODE  # it may have another name
 
     def kind(self, topic: str, allowed: Sequence[str]) -> str:
         """Return the type among those allowed that most messages of a topic have, or ""."""
@@ -84,7 +87,7 @@ class _Bag:
     def by_name(self, key: str, odom: str) -> tuple[str, list[str]]:
         """Return the topic of a key, or "", and notes; FileError if several have its name."""
         allowed = _TYPES[key]
-        wanted = key if key in _PLAIN else f"{_NODE}/{key}"
+        wanted = key if key in _PLAIN else f"{self.node}/{key}"
         found = sorted(topic for topic in self.counts if f"/{topic}".endswith(f"/{wanted}"))
         fitting = [topic for topic in found if self.kind(topic, allowed)]
         notes = [

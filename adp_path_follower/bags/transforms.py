@@ -15,7 +15,7 @@ from adp_path_follower.core.geometry import (
     yaw_of_quaternion,
 )
 
-_TOPICS = ("/tf", "/tf_static")
+_TOPICS = ("tf", "tf_static")  # in a namespace, too
 _TYPE = "tf2_msgs/msg/TFMessage"
 _DEEPEST = 50  # frames above another: a damaged bag may have them in a ring
 
@@ -106,12 +106,12 @@ def read_transforms(bag: FilePath) -> Transforms:
         wanted = [
             connection
             for connection in reader.connections
-            if connection.topic in _TOPICS and connection.msgtype == _TYPE
+            if connection.topic.rpartition("/")[2] in _TOPICS and connection.msgtype == _TYPE
         ]
         for connection, time, raw in reader.messages(wanted) if wanted else ():
             try:
                 message = store.deserialize_cdr(raw, _TYPE)
             except Exception:  # noqa: S112  # whatever a damaged message does to the library
                 continue
-            found.take(time, message, connection.topic == _TOPICS[1])
+            found.take(time, message, connection.topic.endswith("tf_static"))
     return found

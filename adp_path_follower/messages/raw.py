@@ -1,4 +1,4 @@
-"""Read nav_msgs/Path and nav_msgs/Odometry out of their serialised bytes, and write what is sent.
+"""Read paths, odometry and transforms out of their serialised bytes, and write what is sent.
 
 Node and replay both read paths by this module, so that they follow the same path to the last bit. A
 path of a hundred thousand poses takes milliseconds: where frame names are equally long, poses lie
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, pose_in_frame
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame, yaw_of_quaternion
 from adp_path_follower.messages.cdr import CdrError
 
 _HEADER = 4  # bytes of encapsulation before the first field
@@ -79,6 +79,35 @@ def read_odometry(raw: bytes) -> OdometryNumbers:
     )
 
 
+class Transform(NamedTuple):
+    """The place of a frame in its parent, in the plane."""
+
+    stamp: int  # time [ns]
+    parent: str
+    child: str
+    pose: FloatArray  # x [m], y [m], turn [rad], shape (3,)
+
+
+def read_transforms(raw: bytes) -> list[Transform]:
+    """Return the content of a serialised tf2_msgs/TFMessage; raise CdrError if it is none."""
+    order = _order(raw)
+    found, at = [], _HEADER + 4
+    try:
+        (count,) = struct.unpack_from(f"{order}I", raw, _HEADER)
+        for _ in range(count):
+            at = _aligned(at, 4)
+            seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, at)
+            parent, at = _text(raw, at + _STAMP, order)
+            child, at = _text(raw, _aligned(at, 4), order)
+            x, y, _, *turn = struct.unpack_from(f"{order}7d", raw, _aligned(at, 8))
+            at = _aligned(at, 8) + _POSE
+            pose = np.array([x, y, yaw_of_quaternion(*turn)])
+            found.append(Transform(seconds * _NANOSECONDS + nanoseconds, parent, child, pose))
+    except struct.error:
+        raise _too_short() from None
+    return found
+
+
 def stamped_numbers(
     time: int, frame: str, numbers: Iterable[float], child_frame: str | None = None
 ) -> bytes:
@@ -117,13 +146,18 @@ def _too_short() -> CdrError:
 
 def _header(raw: bytes) -> tuple[str, int, str]:
     """Return the frame, where the header ends, and the byte order; CdrError without a header."""
-    if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
-        raise CdrError("no CDR encapsulation")
-    order = "<" if raw[1] else ">"
+    order = _order(raw)
     try:
         return *_text(raw, _HEADER + _STAMP, order), order
     except struct.error:
         raise _too_short() from None
+
+
+def _order(raw: bytes) -> str:
+    """Return the byte order of a serialised message; CdrError if it is none."""
+    if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
+        raise CdrError("no CDR encapsulation")
+    return "<" if raw[1] else ">"
 
 
 def _aligned(at: int, size: int) -> int:

@@ -21,7 +21,7 @@ FAULTS = {
     "odometry without a frame": ("frame_id is empty", SETTLED, "odometry_that_stays_wrong"),
     "odometry in another frame": (
         "frame_id",
-        "waits for a path in it",
+        "waits for a transform",
         "odometry_in_another_frame",
     ),
     "odometry jumps by 3 m": ("x + 3 m", SETTLED, "one_message_that_cannot_be"),

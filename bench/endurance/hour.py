@@ -234,8 +234,6 @@ class Hour:
         self.set("unicycle_sim", values)
         self.spin(self.chance.uniform(0.1, 2.0) * (0.2 if "push" in values else 1.0))
         self.set("unicycle_sim", {name: sound[name] for name in values})
-        if "reported_odom_frame" in values:  # the path was given up for good
-            self.new_path()
         self.peer.call(Trigger, "path_follower/resume")  # from too large an error
 
     def change_parameters(self) -> None:

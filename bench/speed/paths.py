@@ -119,11 +119,11 @@ def first_step(route: Route) -> float:
 def show(name: str, points: np.ndarray, fit: Fit) -> None:
     """Print a line of the table."""
     raw = message(points)
-    routes = [fit(raw, (), PathSettings())]
+    routes = [fit(raw, PathSettings())]
     begun = time.perf_counter()
-    routes.append(fit(raw, (), PathSettings()))
+    routes.append(fit(raw, PathSettings()))
     alone = time.perf_counter() - begun
-    beside, late = watched(lambda: routes.append(fit(raw, (), PathSettings())))
+    beside, late = watched(lambda: routes.append(fit(raw, PathSettings())))
     print(
         f"{len(points)} poses, {name:<20} {alone:.2f} s, beside control steps {beside:.2f} s; the "
         f"latest step {1e3 * late.max():5.1f} ms late; the first on it "

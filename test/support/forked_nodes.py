@@ -199,6 +199,8 @@ def _become(request: dict[str, Any]) -> None:
     os.closerange(3, 256)
     os.environ.clear()
     os.environ.update(request["environment"])
+    folders = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    sys.path[:0] = [folder for folder in folders if folder and folder not in sys.path]
     os.chdir(request["folder"])
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may ignore it (nohup)
     resource.setrlimit(resource.RLIMIT_FSIZE, tuple(request["file_size"]))

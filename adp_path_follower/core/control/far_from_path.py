@@ -1,5 +1,6 @@
 """The policy far from the path, where nothing is learned."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Protocol
 
@@ -8,9 +9,10 @@ import numpy as np
 from adp_path_follower.core.control.fallback import RiccatiPolicy
 from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.control.value_store import value_grid
+from adp_path_follower.core.control.value_store import problem_of, stored, value_grid
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
+from adp_path_follower.core.path.reversing import turned_settings
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.learning import OWN_FAR_POLICIES, WIDE_REGIONS
 from adp_path_follower.core.settings.schema import build
@@ -69,6 +71,22 @@ def far_policy_of(settings: Settings) -> str:
     if chosen == "value_grid" and not np.isfinite(limited).all():
         return "approach"
     return chosen
+
+
+def drivable(wanted: Settings) -> Settings:
+    """Return the settings to drive with, where some are wanted: no control step finds a value.
+
+    `wide_region: approach` stands for `value_grid` until `adp simulate` has stored its values.
+    """
+    if far_policy_of(wanted) != "value_grid":
+        return wanted
+    problems = [problem_of(wanted)]
+    if wanted.path.allow_reversing and wanted.limits.min_linear_vel < 0.0:
+        problems.append(problem_of(turned_settings(wanted)))
+    if all(stored(problem) is not None for problem in problems):
+        return wanted
+    policy = dataclasses.replace(wanted.policy, wide_region="approach")
+    return dataclasses.replace(wanted, policy=policy)
 
 
 def far_levels(settings: Settings) -> tuple[float, float]:

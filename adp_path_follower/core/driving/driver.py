@@ -182,7 +182,10 @@ class Driver:
             )
         present = self.settings
         same_motion = dataclasses.replace(
-            settings, controller=present.controller, path=present.path
+            settings,
+            controller=present.controller,
+            navigation=present.navigation,
+            path=present.path,
         )
         if self._follower is None or same_motion == present:
             return Change(settings, self._follower)

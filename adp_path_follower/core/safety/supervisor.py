@@ -21,6 +21,17 @@ class State(Enum):
     FAULT = "fault"
 
 
+class Kind(Enum):
+    """Kinds of causes why a robot may not drive, for those who react to them."""
+
+    INPUT = "input"  # odometry, clock, path or permission is missing or wrong
+    DEVIATION = "deviation"  # the robot is not where it should be
+    COMMAND = "command"  # no command may be sent
+    TRANSFORM = "transform"  # the robot is not known in the frame of the path
+    LATE = "late"  # the control step does not come
+    PROGRESS = "progress"  # the robot does not get to the end of the path
+
+
 @dataclass(frozen=True)
 class Status:
     """A state with its cause and what the user can do about it."""
@@ -28,6 +39,7 @@ class Status:
     state: State
     cause: str = ""
     remedy: str = ""
+    kind: Kind = Kind.INPUT
 
 
 _RESUME = "call ~/resume"
@@ -64,6 +76,7 @@ class Supervisor:
         self._sound_since: float | None = None  # after wrong odometry
         self._command_problem = ""
         self._limit_problem = ""
+        self._transform_problem = ""
         self._deviation = ""
         self._clock_missing = False
         self._has_path = False
@@ -124,6 +137,10 @@ class Supervisor:
         """Note why the last speed limit cannot hold, empty if it does."""
         self._limit_problem = problem
 
+    def transform_missing(self, problem: str) -> None:
+        """Note why the robot is not known in the frame of the path, empty if it is."""
+        self._transform_problem = problem
+
     def deviated(self, problem: str) -> None:
         """Note that the robot is further from the path than the user allows."""
         self._deviation = problem
@@ -164,6 +181,9 @@ class Supervisor:
             return Status(
                 State.WAITING, "no odometry", "publish nav_msgs/Odometry on 'odom', or remap it"
             )
+        if self._transform_problem:
+            remedy = "the robot resumes with the transform"
+            return Status(State.WAITING, self._transform_problem, remedy, Kind.TRANSFORM)
         return None
 
     def _fault(self, now: float) -> Status | None:
@@ -175,37 +195,48 @@ class Supervisor:
                 now - self._odometry_time > timeout,
                 f"no odometry for more than {timeout:g} s",
                 "check the odometry source; the robot resumes when it returns",
+                Kind.INPUT,
             ),
             (
                 self._tick_time is not None and now - self._tick_time > timeout,
                 f"no control step for more than {timeout:g} s",
                 "check /clock, which may stand still; the robot resumes with it",
+                Kind.LATE,
             ),
-            (bool(self._deviation), self._deviation, f"check the robot, then {_RESUME}"),
+            (
+                bool(self._deviation),
+                self._deviation,
+                f"check the robot, then {_RESUME}",
+                Kind.DEVIATION,
+            ),
             (
                 bool(self._odometry_problem),
                 self._odometry_problem,
                 "check the odometry source; the robot resumes with sound messages",
+                Kind.INPUT,
             ),
             (
                 bool(self._command_problem),
                 self._command_problem,
                 "the robot resumes with the next odometry",
+                Kind.COMMAND,
             ),
             (
                 bool(self._limit_problem),
                 self._limit_problem,
                 "the robot resumes with a speed limit above 0; to stop it, call ~/stop",
+                Kind.INPUT,
             ),
             (
                 bool(self._goal_problem),
                 self._goal_problem,
                 f"publish another path, or {_RESUME} to try again",
+                Kind.PROGRESS,
             ),
         )
-        for holds, cause, remedy in faults:
+        for holds, cause, remedy, kind in faults:
             if holds:
-                return Status(State.FAULT, cause, remedy)
+                return Status(State.FAULT, cause, remedy, kind)
         return None
 
     def _going(self) -> Status:

@@ -11,6 +11,7 @@ import numpy as np
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.learning import LearningSettings, PolicySettings
+from adp_path_follower.core.settings.navigation import NavigationSettings
 from adp_path_follower.core.settings.robot import RobotSettings
 from adp_path_follower.core.settings.schema import POSITIVE, setting, update
 
@@ -342,6 +343,7 @@ class Settings:
     robot: RobotSettings
     path: PathSettings
     controller: ControllerSettings
+    navigation: NavigationSettings
 
     def __post_init__(self) -> None:
         """Reject reversing without a speed for it."""

@@ -10,6 +10,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
 
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.settings.groups import ControllerSettings
 from adp_path_follower.ros.controller.watchdog import WATCH_PERIOD
 from adp_path_follower.ros.runtime.conversions import twist_message, twist_stamped
 from adp_path_follower.ros.runtime.qos import EVERY_STEP, LOSSLESS, repeat_until_delivered
@@ -17,6 +18,7 @@ from adp_path_follower.ros.runtime.qos import EVERY_STEP, LOSSLESS, repeat_until
 _STOP_DURATION = 0.5  # [s], steady: how long zero velocity is repeated after a stop, at least ...
 _STOP_COUNT = 10  # ... so often: DDS may keep us waiting longer for a listener that stalls
 _LAST_WORDS = 3  # zero velocities before the node goes, at least
+_MOST_SILENCE = 0.5  # [s] beyond a period of the control timer, however long odometry may be silent
 _LONGEST_WAIT = 0.5  # [s] until a shorter timeout is known
 _ZERO = np.zeros(2)
 
@@ -27,18 +29,15 @@ class Commands:
     A thread stops the robot when no command follows one that moves it, whatever holds the node up.
     """
 
-    def __init__(
-        self, node: Node, stamped: bool, lossless: bool, timeout: Callable[[], float]
-    ) -> None:
-        """Create the publisher and start the thread.
-
-        A robot goes on with one command for `timeout()` [s]; `lossless` serves late subscribers.
-        """
+    def __init__(self, node: Node, controller: Callable[[], ControllerSettings]) -> None:
+        """Create the publisher, which serves late subscribers in lock-step; start the thread."""
         self.frame = "base_link"
-        self._node, self._stamped, self._timeout = node, stamped, timeout
-        kind = TwistStamped if stamped else Twist
+        self._node, self._controller = node, controller
+        self._stamped = controller().enable_stamped_cmd_vel
         self._publisher: Any = node.create_publisher(
-            kind, "cmd_vel", LOSSLESS if lossless else EVERY_STEP
+            TwistStamped if self._stamped else Twist,
+            "cmd_vel",
+            LOSSLESS if controller().control_trigger == "odometry" else EVERY_STEP,
         )
         self._heard = False  # whether anybody has listened to commands since the activation
         self._stop_until, self._stops_left = 0.0, 0
@@ -52,6 +51,13 @@ class Commands:
         """Publish a command [v, w] for a time [ns]."""
         self._moved_at = steady.monotonic() if command.any() else None
         self._publish(command, time)
+
+    def _timeout(self) -> float:
+        """Return how long the robot may go on with one command [s]."""
+        controller = self._controller()
+        if controller.control_trigger == "odometry":
+            return controller.odom_timeout
+        return min(controller.odom_timeout, 1.0 / controller.controller_frequency + _MOST_SILENCE)
 
     def take_lateness(self) -> str:
         """Return why the robot was stopped although it was to drive, once; empty if it was not."""

@@ -8,37 +8,38 @@ from collections.abc import Callable
 
 import numpy as np
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from std_srvs.srv import Trigger
 
-from adp_path_follower import __version__
+from adp_path_follower.core.control.far_from_path import drivable
 from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.odometry_check import OdometryProblem, stamp_problem
+from adp_path_follower.core.safety.progress_check import ProgressCheck
 from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, deviation
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import Commands
-from adp_path_follower.ros.controller.far_value import drivable
+from adp_path_follower.ros.controller.follow_path_action import Site, follow_path_action
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.parts import ControllerParts, start_teller
 from adp_path_follower.ros.controller.path_input import PathInput
 from adp_path_follower.ros.controller.path_process import Fit, route_of_message
 from adp_path_follower.ros.controller.path_worker import PathAnswer
 from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
-from adp_path_follower.ros.controller.telemetry import Telemetry
+from adp_path_follower.ros.controller.telemetry import StatusLog, Telemetry
 from adp_path_follower.ros.controller.watchdog import WATCH_PERIOD, Watchdog
 from adp_path_follower.ros.controller.weights import WeightsFiles
 from adp_path_follower.ros.runtime.conversions import Measurement
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
+from adp_path_follower.ros.runtime.path_frame import PathFrame
 from adp_path_follower.ros.runtime.run import Ending
 from adp_path_follower.ros.runtime.service_guards import defend_services, told_if_it_fails
+from adp_path_follower.ros.runtime.triggers import trigger_service
 
 NODE_NAME = "path_follower"
 
 _ZERO = np.zeros(2)
-_MOST_SILENCE = 0.5  # [s] beyond a period of the control timer, however long odometry may be silent
 
 
 class PathFollowerNode(Ending, LifecycleNode):
@@ -53,6 +54,14 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._weights = WeightsFiles(self, self.settings, lambda: self._driver)
         self._fit = fit
         self._parts: ControllerParts | None = None
+        self._site = Site(
+            settings=lambda: self.settings.navigation,
+            status=lambda: self.status,
+            active=lambda: self._supervisor.active,
+            driver=lambda: self._driver,
+            speed=lambda: self._configured.odometry.speed,
+            hurry=lambda: self._configured.watchdog.hurry(),
+        )
         self._supervisor = Supervisor(self.settings.controller.odom_timeout)
         self._forget_run()
         if self.settings.controller.autostart:
@@ -66,9 +75,10 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._driver = Driver(settings, self._weights.saved, log.warning, tell_start=told)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
+        self._progress = ProgressCheck()
         self._clock_time = 0
-        self.status = self._told = Status(State.INACTIVE)
-        self._told_until = 0.0
+        self.status = Status(State.INACTIVE)
+        self._status_log = StatusLog(log)
         self._shown_since = 0
         self._next_diagnostics = 0.0
         self._supervisor = self._supervisor.renewed()
@@ -86,24 +96,28 @@ class PathFollowerNode(Ending, LifecycleNode):
         controller = self.settings.controller
         lossless = controller.control_trigger == "odometry"
         labels = self.settings.learning.value_basis.labels
+        frame = PathFrame(self, lambda: self.settings.navigation)
+        path = PathInput(
+            *(self, lambda: self.settings.path, self._follow_path, self._refuse_path),
+            *(lambda: self._configured.action.path_on_topic(), frame, self._fit),
+        )
         self._parts = ControllerParts(
-            Commands(self, controller.enable_stamped_cmd_vel, lossless, self._most_silence),
+            Commands(self, lambda: self.settings.controller),
             Telemetry(self, labels, lossless, lambda: self.settings.controller),
             OdometryInput(self, lambda: self.settings, self._take_odometry, self._refuse_odometry),
-            PathInput(
-                self, lambda: self.settings.path, self._follow_path, self._refuse_path, self._fit
-            ),
+            frame,
+            path,
+            follow_path_action(self, path, self._site),
             SpeedLimitInput(self, lambda: self.settings, self._answer_speed_limit),
             Watchdog(self, self._watch),
             self._weights.entities(),
         )
-        for name, answer in (
+        for name, act in (
             ("~/reset_learning", self._reset_learning),
             ("~/stop", self._stop),
             ("~/resume", self._resume),
         ):
-            service = self.create_service(Trigger, name, answer)
-            self._parts.entities.append((self.destroy_service, service))
+            self._parts.entities.append(trigger_service(self, name, act))
         if controller.control_trigger == "timer":
             timer = self.create_timer(1.0 / controller.controller_frequency, self._on_timer)
             self._parts.entities.append((self.destroy_timer, timer))
@@ -152,6 +166,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._parts is None:
             return
         self._parts.commands.last_words()
+        self._parts.action.deactivated()
         self._note_stop()
         self._update_status()  # the last that ~/status and /diagnostics say
         self._parts.telemetry.deliver_status()
@@ -166,26 +181,29 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._supervisor.odometry_received(steady.monotonic())
         parts = self._configured
         parts.commands.frame = measurement.child_frame
-        parts.path.odometry_in(measurement.frame)
+        parts.frame.odometry_in(measurement.frame, measurement.child_frame)
         if self.settings.controller.control_trigger == "odometry":
             self._control(measurement.stamp)
 
     def _follow_path(self, found: PathAnswer | None) -> None:
         """Follow another path, or nothing any more."""
         self._driver.follow(None if found is None else found.route)
+        parts = self._configured
         if found is None or found.route is None:
             self._supervisor.path_removed()
+            parts.frame.accept()
             self._update_status()
         else:
             self._supervisor.path_received()
             self.get_logger().info(f"new path: {found.text}")
-            markers = self._configured.telemetry.markers
-            markers(self._now(), found.followed_frame, found.route, None)
+            parts.action.path_followed(found)
+            parts.telemetry.markers(self._now(), found.frame, found.route, None)
         self._publish_configuration()
 
-    def _refuse_path(self, problem: str) -> None:
-        self.get_logger().error(f"path rejected: {problem}")
+    def _refuse_path(self, found: PathAnswer) -> None:
+        self.get_logger().error(f"path rejected: {self._configured.path.problem}")
         self._publish_diagnostics()
+        self._configured.action.path_refused(found)
 
     def _answer_speed_limit(self, problem: str) -> None:
         """Let the robot stand while the last limit cannot hold: who sent it may want that."""
@@ -204,29 +222,25 @@ class PathFollowerNode(Ending, LifecycleNode):
 
         return take_over
 
-    def _reset_learning(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _reset_learning(self) -> str:
         self._driver.reset_learning()
         self._publish_configuration()
-        response.success, response.message = True, "weights are the initial ones again"
-        return response
+        return "weights are the initial ones again"
 
-    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _stop(self) -> str:
         self._supervisor.stop()
         if self._supervisor.active:
             self._configured.commands.stop()
         self._update_status()
-        response.success, response.message = True, "stopped; ~/resume goes on"
-        return response
+        return "stopped; ~/resume goes on"
 
-    def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _resume(self) -> str:
         """Go on from where the robot is now: it may have been carried."""
         self._supervisor.resume()
+        self._configured.frame.accept()
         if self._driver.restart():
             self._publish_configuration()
-        response.success, response.message = True, self._update_status().state.value
-        return response
+        return self._update_status().state.value
 
     # Control
 
@@ -241,10 +255,13 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _command(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
+        self._supervisor.transform_missing(self._configured.path.missing_frame())
         if self._update_status().state is not State.FOLLOWING:
             return
         parts, measurement = self._configured, self._configured.odometry.measurement
-        assert measurement is not None  # there is no FOLLOWING without odometry
+        assert measurement is not None  # there is no FOLLOWING without odometry,
+        assert parts.path.followed is not None  # nor without a path
+        frame = parts.path.followed.frame
         if time == self._step_time:  # the same odometry again: so is the answer
             parts.commands.send(self._last_command, time)
             return
@@ -253,6 +270,12 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._refuse_command(problem)
             return
         pose, motion = measurement.pose_at(time), measurement.motion_at(time)
+        jumped = parts.frame.correct(pose, frame)
+        if jumped:
+            self._supervisor.deviated(jumped)
+            self._update_status()
+            return
+        pose = parts.frame.located(pose, float(motion[0]), frame)
         try:
             output = self._driver.command_for(pose, time, motion)
         except SettingsError as error:
@@ -269,7 +292,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._update_status()
         else:
             parts.commands.send(output.command, time)
-        self._tell(time, pose, motion, output)
+        self._tell(time, frame, (pose, motion), output)
 
     def _refuse_command(self, problem: str) -> None:
         self._supervisor.command_refused(problem)
@@ -284,29 +307,25 @@ class PathFollowerNode(Ending, LifecycleNode):
         return self._configured.commands.take_lateness()
 
     def _tell(
-        self, time: int, pose: FloatArray, motion: FloatArray, output: FollowerOutput
+        self,
+        time: int,
+        frame: str,
+        measured: tuple[FloatArray, FloatArray],
+        output: FollowerOutput,
     ) -> None:
         """Tell what a step at a time [ns], pose and motion (3,) found; see if it is the last."""
         parts, follower, route = self._configured, self._driver.follower, self._driver.route
-        assert follower is not None  # the step has made it,
-        assert route is not None  # for this
+        assert follower is not None  # the step has made it
+        assert route is not None
         if parts.telemetry.learning(follower.learning_problem):
             self._publish_diagnostics()
-        assert parts.path.followed is not None  # nor a step without a path
-        frame = parts.path.followed.followed_frame
-        parts.telemetry.step(time, frame, (pose, motion), output, float(follower.cost))
+        parts.telemetry.step(time, frame, measured, output, float(follower.cost))
         parts.telemetry.markers(time, frame, route, output)
         if self._driver.at_goal:
             self._supervisor.goal_reached()
+            parts.frame.accept()
         elif follower.goal.problem:
             self._supervisor.goal_missed(follower.goal.problem)
-
-    def _most_silence(self) -> float:
-        """Return how long the robot may go on with one command [s]."""
-        controller = self.settings.controller
-        if controller.control_trigger == "odometry":
-            return controller.odom_timeout
-        return min(controller.odom_timeout, 1.0 / controller.controller_frequency + _MOST_SILENCE)
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -321,7 +340,13 @@ class PathFollowerNode(Ending, LifecycleNode):
         if clock_time < self._clock_time and by_timer:
             self._supervisor.command_refused("the clock went back")
         self._clock_time = clock_time
+        self._supervisor.transform_missing(parts.path.missing_frame())
+        pose = parts.odometry.pose if self.status.state is State.FOLLOWING else None
+        stuck = self._progress.problem(1e-9 * clock_time, pose, self.settings.navigation)
+        if stuck:
+            self._supervisor.goal_missed(stuck)
         following = self._update_status().state is State.FOLLOWING
+        parts.action.look()
         if self._supervisor.active and not following:
             parts.commands.repeat_stop()
         if steady.monotonic() >= self._next_diagnostics:
@@ -334,11 +359,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         status = self._supervisor.status(now)
         if status != self.status:
             self._change_status(status)
-        same_state = status.state is self._told.state
-        # A cause that changes with every message is told once a second.
-        if status != self._told and (not same_state or now >= self._told_until):
-            self._told, self._told_until = status, now + 1.0
-            self._tell_status(status)
+        if self._status_log.tell(status, now):
+            self._publish_diagnostics()
         return status
 
     def _change_status(self, status: Status) -> None:
@@ -350,14 +372,6 @@ class PathFollowerNode(Ending, LifecycleNode):
         if status.state is not self.status.state:
             self._shown_since = self._now()
         self.status = status
-
-    def _tell_status(self, status: Status) -> None:
-        text = ": ".join(filter(None, [status.state.value, status.cause]))
-        if status.state is State.FAULT:
-            self.get_logger().error(f"{text}; {status.remedy}")
-        else:
-            self.get_logger().info(text)
-        self._publish_diagnostics()
 
     def _note_stop(self) -> None:
         """Remember that the robot was told to stop: its next command begins at rest."""
@@ -371,23 +385,15 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._parts is None:
             return
         self._next_diagnostics = steady.monotonic() + 1.0
-        values = {"version": __version__}
-        if self._driver.follower is not None:
-            values["arc_length [m]"] = f"{float(self._driver.follower.arc_length):.3f}"
-            values["cost"] = f"{float(self._driver.follower.cost):.6g}"
-        values.update(self._parts.telemetry.robot_model(self._driver.robot))
         self._parts.telemetry.diagnostics(
-            self._now(), self.status, self._shown_since, self._parts.path.problem, values
+            self._now(), self.status, self._shown_since, self._parts.path.problem, self._driver
         )
 
     def _publish_configuration(self) -> None:
         if self._parts is None:
             return
         driver, after = self._driver, NO_STEP if self._step_time is None else self._step_time
-        path = self._parts.path.followed
-        self._parts.telemetry.configuration(
-            configuration_text(
-                *(driver.settings, driver.route, after, driver.counts),
-                *(self._weights.digest, () if path is None else path.transform),
-            )
+        text = configuration_text(
+            driver.settings, driver.route, after, driver.counts, self._weights.digest
         )
+        self._parts.telemetry.configuration(text)

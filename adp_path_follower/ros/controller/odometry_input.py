@@ -7,6 +7,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.odometry_check import (
     MissingTwist,
     OdometryCheck,
@@ -34,6 +35,16 @@ class OdometryInput:
         self._subscription = node.create_subscription(
             Odometry, "odom", self._receive, qos_profile_sensor_data, raw=True
         )
+
+    @property
+    def pose(self) -> FloatArray | None:
+        """Return the pose of the last measurement, None before the first."""
+        return None if self.measurement is None else self.measurement.pose
+
+    @property
+    def speed(self) -> float:
+        """Return the robot's speed [m/s], 0 before the first measurement."""
+        return 0.0 if self.measurement is None else abs(float(self.measurement.twist[0]))
 
     def destroy(self) -> None:
         """End the subscription."""

@@ -7,11 +7,13 @@ from typing import Any
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from adp_path_follower.ros.controller.commands import Commands
+from adp_path_follower.ros.controller.follow_path_action import FollowPathAction, NoAction
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.path_input import PathInput
 from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
 from adp_path_follower.ros.controller.telemetry import Telemetry
 from adp_path_follower.ros.controller.watchdog import Watchdog
+from adp_path_follower.ros.runtime.path_frame import PathFrame
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,9 @@ class ControllerParts:
     commands: Commands
     telemetry: Telemetry
     odometry: OdometryInput
+    frame: PathFrame
     path: PathInput
+    action: FollowPathAction | NoAction
     speed_limit: SpeedLimitInput
     watchdog: Watchdog
     entities: list[tuple[Any, Any]]  # pairs of what destroys something of the node, and that
@@ -30,7 +34,8 @@ class ControllerParts:
         """Destroy all of it; what tells the robot to stop goes last."""
         for destroy, entity in self.entities:
             destroy(entity)
-        for part in (self.watchdog, self.speed_limit, self.odometry, self.path, self.telemetry):
+        inputs = (self.action, self.speed_limit, self.odometry, self.path, self.frame)
+        for part in (self.watchdog, *inputs, self.telemetry):
             part.destroy()
         self.commands.destroy()
 

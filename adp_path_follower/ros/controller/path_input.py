@@ -1,8 +1,7 @@
-"""The topic `path`: what comes in is prepared aside, then taken over, rejected, or removed."""
+"""Paths come in from the topic `path` and from goals: prepared aside, then taken or rejected."""
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from nav_msgs.msg import Path as PathMessage
@@ -13,8 +12,8 @@ from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.raw import is_empty
 from adp_path_follower.ros.controller.path_process import Fit
 from adp_path_follower.ros.controller.path_worker import PathAnswer, PathIntake, PathRequest
-from adp_path_follower.ros.runtime.frames import frame_transform
-from adp_path_follower.ros.runtime.qos import LATCHED
+from adp_path_follower.ros.runtime.path_frame import PathFrame
+from adp_path_follower.ros.runtime.qos import EVERY_STEP, LATCHED
 
 
 class PathInput:
@@ -25,40 +24,62 @@ class PathInput:
         node: Node,
         settings: Callable[[], PathSettings],
         follow: Callable[[PathAnswer | None], None],
-        refuse: Callable[[str], None],
+        refuse: Callable[[PathAnswer], None],
+        arrived: Callable[[], None],
+        frame: PathFrame,
         fit: Fit,
     ) -> None:
-        """Subscribe; `follow` gets a path or none, `refuse` a sentence; a thread calls `fit`."""
+        """Subscribe; a thread calls `fit`.
+
+        `follow` gets a path or none, `refuse` one that cannot be followed, and `arrived` is called
+        for each on the topic. `frame` knows where odometry is in the frame of a path.
+        """
         self.followed: PathAnswer | None = None
         self.problem = ""  # why the last path was rejected
-        self._node, self._settings = node, settings
-        self._follow, self._refuse = follow, refuse
-        self._odom_frame = ""
-        self._refused: PathRequest | None = None  # in the frame that the odometry had then
+        self._node, self._settings, self._frame = node, settings, frame
+        self._follow, self._refuse, self._arrived = follow, refuse, arrived
+        self._waiting: PathAnswer | None = None  # until its frame is known
+        self._last_sent = 0  # when the last message was published [ns]
         self._fitted = node.create_guard_condition(self._take)
-        self._intake = PathIntake(frame_transform(node), self._wake, fit)
-        self._subscription: Any = node.create_subscription(
-            PathMessage, "path", self._receive, LATCHED, raw=True
-        )
+        self._intake = PathIntake(self._wake, fit)
+        # What latched publishers said before, and those that latch nothing.
+        self._subscriptions: list[Any] = [
+            node.create_subscription(PathMessage, "path", self._receive, qos, raw=True)
+            for qos in (LATCHED, EVERY_STEP)
+        ]
 
     def destroy(self) -> None:
         """End the thread, and destroy what was created."""
         self._intake.close()
         self._node.destroy_guard_condition(self._fitted)
-        self._node.destroy_subscription(self._subscription)
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
 
-    def odometry_in(self, frame: str) -> None:
-        """Note the odometry's frame; if it changed, ask again for the path, also a rejected one."""
-        changed, self._odom_frame = frame != self._odom_frame, frame
-        if self.followed is not None and self.followed.followed_frame != frame:
-            self._submit(replace(self.followed.request, odom_frame=frame))
-            self._change(None)
-        elif self._refused is not None and changed:
-            self._submit(replace(self._refused, odom_frame=frame))
+    @property
+    def goal(self) -> object:
+        """Return the goal whose path is followed, None without one."""
+        return None if self.followed is None else self.followed.request.goal
+
+    def missing_frame(self) -> str:
+        """Return why the robot is not known in the frame of its path, empty if it is."""
+        return "" if self.followed is None else self._frame.unknown(self.followed.frame)
+
+    def submit(self, raw: bytes, goal: object = None) -> None:
+        """Let a serialised path be prepared, from the topic or for a goal."""
+        self._waiting = None
+        self._intake.submit(PathRequest(raw, self._settings(), goal))
+
+    def stop(self) -> None:
+        """Follow nothing any more."""
+        self._intake.cancel()
+        self.problem, self._waiting = "", None
+        self._change(None)
 
     def retry(self) -> None:
-        """Ask again, now and then, for a path whose transform was not known."""
-        self._intake.retry()
+        """Look again for the frame of a path that waits for it."""
+        if self._waiting is not None and not self._frame.unknown(self._waiting.frame):
+            found, self._waiting = self._waiting, None
+            self._change(found)
 
     def _wake(self) -> None:
         """Let the node take what the other thread has prepared, if it is still there."""
@@ -66,32 +87,41 @@ class PathInput:
             self._fitted.trigger()
 
     def _change(self, found: PathAnswer | None) -> None:
+        if found is not None:
+            self.problem = ""
         self.followed = found
         self._follow(found)
 
-    def _receive(self, raw: bytes) -> None:
+    def _receive(self, raw: bytes, info: dict[str, int]) -> None:
         """Let a path be prepared; an empty one stops at once."""
+        if info["source_timestamp"] == self._last_sent:  # the other subscription had it
+            return
+        self._last_sent = info["source_timestamp"]
+        self._arrived()
         if is_empty(raw):
-            self._intake.cancel()
-            self.problem, self._refused = "", None
-            self._change(None)
+            self.stop()
         else:
-            self._submit(PathRequest(raw, self._settings(), self._odom_frame))
-
-    def _submit(self, request: PathRequest) -> None:
-        self._refused = None
-        self._intake.submit(request)
+            self.submit(raw)
 
     def _take(self) -> None:
         """Take over a path that has been prepared, or reject it and go on with the present one."""
-        found = self._intake.take(self._settings(), self._odom_frame)
+        found = self._intake.take(self._settings())
         if found is None:
             return
-        self.problem = found.problem
-        if found.route is None:
-            self._refused = found.request
-            self._refuse(found.problem)
+        self.problem = found.problem or self._frame.impossible(found.frame)
+        if found.route is None or self.problem:
+            self._waiting = None if found.route is None else found  # for odometry in its frame
+            self._refuse(found)
             return
-        present = None if self.followed is None else self.followed.route
-        if present is None or found.route.digest() != present.digest():
+        present = self.followed
+        if present is not None and found.is_same(present):
+            self.followed = found
+            return
+        missing = self._frame.unknown(found.frame)
+        if missing and present is not None:
+            self._waiting = found
+            self._node.get_logger().info(
+                f"the new path waits, and the present one stays: {missing}"
+            )
+        else:
             self._change(found)

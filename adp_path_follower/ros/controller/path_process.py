@@ -27,26 +27,29 @@ from adp_path_follower.core.errors import AdpError, PathError
 from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.cdr import CdrError
-from adp_path_follower.messages.raw import read_path, transformed
+from adp_path_follower.messages.raw import read_path
 from adp_path_follower.ros.runtime.stop_request import ending_signals
 
 _NICE = 5  # control comes first, where there are fewer cores than processes
 _PATIENCE = 20.0  # [s] without an answer: hundreds of times what a short path takes, and then
 _PATIENCE_EACH = 5e-6  # [s] for each byte of it, fifty times what a long one takes
 
-# From the bytes of a nav_msgs/Path, the transform of its frame and settings to a route.
-Fit = Callable[[bytes, tuple[float, ...], PathSettings], Route]
+# From the bytes of a nav_msgs/Path and settings to a route, in the frame of the path.
+Fit = Callable[[bytes, PathSettings], Route]
 
 
-def route_of_message(raw: bytes, transform: tuple[float, ...], settings: PathSettings) -> Route:
+class PathTimeoutError(PathError):
+    """Report a path that took too long to prepare."""
+
+
+def route_of_message(raw: bytes, settings: PathSettings) -> Route:
     """Return the route of a path, a serialised nav_msgs/Path, ready to be driven.
 
-    `transform` is x [m], y [m], turn [rad] of its frame in that of the route; empty if they are the
-    same. Raises AdpError if the path cannot be driven, CdrError if the bytes are no path.
+    Raises AdpError if the path cannot be driven, CdrError if the bytes are no path.
     """
     from adp_path_follower.core.path.preparation import prepare
 
-    poses = transformed(read_path(raw).poses, transform)
+    poses = read_path(raw).poses
     route = prepare(poses[:, :2], settings, poses[:, 2])
     route.make_ready()
     return route
@@ -87,7 +90,7 @@ class FittingProcess:
             self._over = True
             self._end()
 
-    def route(self, raw: bytes, transform: tuple[float, ...], settings: PathSettings) -> Route:
+    def route(self, raw: bytes, settings: PathSettings) -> Route:
         """Return the route of a path; see `route_of_message`.
 
         Raises PathError if it cannot be driven or read, or the process fails at it; SystemExit if
@@ -98,14 +101,17 @@ class FittingProcess:
                 self._replace()
                 _warn("has ended without a path to prepare, and was started anew")
             if self._connection is None:
-                return route_of_message(raw, transform, settings)
-            found = self._answer(self._connection, (raw, transform, settings), len(raw))
+                return route_of_message(raw, settings)
+            found = self._answer(self._connection, (raw, settings), len(raw))
         if isinstance(found, str):
             raise PathError(found)
         return found
 
     def _answer(self, connection: socket.socket, request: object, size: int) -> Route | str:
-        """Return the route of a path of so many bytes from the process, or why there is none."""
+        """Return the route of a path of so many bytes from the process, or why there is none.
+
+        Raises PathTimeoutError if the process does not answer in time.
+        """
         patience = _PATIENCE + _PATIENCE_EACH * size
         connection.settimeout(patience)
         try:
@@ -113,10 +119,10 @@ class FittingProcess:
             found: Route | str = _receive(connection)
         except TimeoutError:
             self._replace()
-            return (
+            raise PathTimeoutError(
                 f"path was not prepared within {patience:.0f} s: publish it again, with fewer "
                 "poses if it is long"
-            )
+            ) from None
         except (EOFError, OSError):
             code = self._replace()
             return (
@@ -181,10 +187,10 @@ def _serve(connection: socket.socket, inherited: socket.socket | None) -> None:
     os.nice(_NICE)
     with contextlib.suppress(EOFError, OSError):
         while True:
-            raw, transform, settings = _receive(connection)
+            raw, settings = _receive(connection)
             answer: Route | str
             try:
-                answer = route_of_message(raw, transform, settings)
+                answer = route_of_message(raw, settings)
             except Exception as error:  # whatever it is, the next path is another one
                 answer = reason(error)
             _send(connection, answer)

@@ -9,12 +9,15 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped, Vector3Stamped
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import ColorRGBA, Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from adp_path_follower import __version__
+from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.route import Route
@@ -51,6 +54,27 @@ _LEVELS = {
     State.STOPPED: DiagnosticStatus.WARN,
     State.FAULT: DiagnosticStatus.ERROR,
 }
+
+
+class StatusLog:
+    """Tells the log a status when it changes; where only its cause does, once a second."""
+
+    def __init__(self, log: RcutilsLogger) -> None:
+        """Begin with a controller that is not active."""
+        self._log, self._told, self._until = log, Status(State.INACTIVE), 0.0
+
+    def tell(self, status: Status, now: float) -> bool:
+        """Tell a status at a steady time [s], if it is time; return whether it was."""
+        same_state = status.state is self._told.state
+        if status == self._told or (same_state and now < self._until):
+            return False
+        self._told, self._until = status, now + 1.0
+        text = ": ".join(filter(None, [status.state.value, status.cause]))
+        if status.state is State.FAULT:
+            self._log.error(f"{text}; {status.remedy}")
+        else:
+            self._log.info(text)
+        return True
 
 
 def _quiet_publisher(node: Node, kind: type, topic: str, qos: QoSProfile | int) -> Publisher:
@@ -219,12 +243,17 @@ class Telemetry:
         status: Status,
         since: int,
         path_problem: str,
-        values: dict[str, str],
+        driver: Driver,
     ) -> None:
         """Publish the state (which began at `since` [ns]), the path's problem and learning.
 
         On /diagnostics always, with all values; on ~/status, which is latched, when it changes.
         """
+        values = {"version": __version__}
+        if driver.follower is not None:
+            values["arc_length [m]"] = f"{float(driver.follower.arc_length):.3f}"
+            values["cost"] = f"{float(driver.follower.cost):.6g}"
+        values.update(self.robot_model(driver.robot))
         learning_problem = self._learning_problem
         level = max(
             _LEVELS[status.state],

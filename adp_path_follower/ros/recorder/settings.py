@@ -13,6 +13,7 @@ RUN_TOPICS = (
     "ground_truth",
     "cmd_vel",
     "path",
+    "path_follower/goal_path",
     "path_follower/target",
     "path_follower/measured_pose",
     "path_follower/measured_motion",
@@ -26,6 +27,8 @@ RUN_TOPICS = (
     "path_follower/initial_weights",
     "path_follower/status",
     "/diagnostics",
+    "/tf",
+    "/tf_static",
 )
 
 _FIXED = "the bag is made at the start"

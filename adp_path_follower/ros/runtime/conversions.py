@@ -124,14 +124,6 @@ def pose_stamped(time: int, frame: str, pose: FloatArray) -> PoseStamped:
     return PoseStamped(header=make_header(time, frame), pose=pose_message(pose))
 
 
-def wrong_frame(frame: str, odom_frame: str) -> str:
-    """Return why a path in a frame cannot be followed."""
-    return (
-        f"path is in frame '{frame}', but odometry in '{odom_frame}': publish the path in "
-        f"'{odom_frame}', or install tf2_ros"
-    )
-
-
 def poses_message(poses: FloatArray, frame: str, time: int) -> PathMessage:
     """Return poses (N, 3) as a path; those without heading (NaN) get the identity."""
     message = PathMessage(header=make_header(time, frame))

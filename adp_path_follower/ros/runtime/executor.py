@@ -9,6 +9,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rclpy.waitable import NumberOfEntities
 
 _NANOSECONDS = 1_000_000_000
 
@@ -56,8 +57,11 @@ class DirectExecutor(SingleThreadedExecutor):
         self._require_context()
         ready = wait_set.get_ready_entities
         guards, services, clients = ready("guard_condition"), ready("service"), ready("client")
-        timers = [self._timers[pointer] for pointer in ready("timer")]
-        subscriptions = [self._subscriptions[pointer] for pointer in ready("subscription")]
+        # Whatever else is ready belongs to a waitable, as an action server has services and timers.
+        timers = [self._timers[one] for one in ready("timer") if one in self._timers]
+        subscriptions = [
+            self._subscriptions[one] for one in ready("subscription") if one in self._subscriptions
+        ]
         for timer in timers:
             _call(timer)
         for subscription in subscriptions:
@@ -90,9 +94,18 @@ class DirectExecutor(SingleThreadedExecutor):
             _check(subscription, "_callback_type", "msg_type", "raw")
         clients, services = [*node.clients], [*node.services]
         guards = [*node.guards, self._guard]
+        counts = NumberOfEntities(
+            *map(len, (self._subscriptions, guards, self._timers, clients, services))
+        )
+        for waitable in self._waitables:
+            counts += waitable.get_num_entities()
         wait_set = rclpy_implementation.WaitSet(
-            *map(len, (self._subscriptions, guards, self._timers, clients, services)),
-            sum(waitable.get_num_entities().num_events for waitable in self._waitables),
+            counts.num_subscriptions,
+            counts.num_guard_conditions,
+            counts.num_timers,
+            counts.num_clients,
+            counts.num_services,
+            counts.num_events,
             self._context.handle,
         )
         self._wait_set = wait_set

@@ -1,58 +1,115 @@
-"""Transforms between frames: tf2 where it is installed, behind one small protocol."""
+"""Where frames are, from /tf and /tf_static, where `tf2_msgs` is installed.
 
-from typing import Any, Protocol
+The frames are taken to be level, as those between a path and odometry are. The latest transform of
+each pair counts: what it is at the time of the odometry would be known only later.
+"""
 
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 from rclpy.node import Node
-from rclpy.time import Time
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import yaw_of_quaternion
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
+from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.raw import read_transforms
+
+_TOPICS = {"/tf": DurabilityPolicy.VOLATILE, "/tf_static": DurabilityPolicy.TRANSIENT_LOCAL}
+_DEPTH = 100
+_DEEPEST = 50  # frames above another: wrong transforms may have them in a ring
 
 
 class FrameError(AdpError):
     """Report a transform that is not known (yet)."""
 
 
-class FrameTransform(Protocol):
-    """Knows where frames are."""
+@dataclass(frozen=True, eq=False)
+class FramePlace:
+    """The place of a frame in another one."""
 
-    def planar(self, target: str, source: str) -> tuple[float, float, float]:
-        """Return x [m], y [m] and turn [rad] of a source frame in a target frame.
-
-        Raises FrameError if it is not known.
-        """
+    pose: FloatArray  # x [m], y [m], turn [rad], shape (3,)
+    stamp: int | None  # time of the oldest transform in it [ns], None where all are static
+    between: tuple[str, ...]  # the frames on the way from the one to the other, both ends included
 
 
-class Tf2Transform:
-    """Takes transforms from tf2."""
+class Frames:
+    """Listens to transforms from the first question on."""
 
     def __init__(self, node: Node) -> None:
-        """Listen to /tf and /tf_static; raise ImportError if tf2_ros is not installed."""
-        import tf2_ros  # a real ROS installation has it, the wheels have not
+        """Do nothing yet; raise ImportError without `tf2_msgs`."""
+        from tf2_msgs.msg import TFMessage
 
-        self._failure: Any = tf2_ros.TransformException
-        self._buffer = tf2_ros.Buffer()
-        self._listener = tf2_ros.TransformListener(self._buffer, node)
+        self._node, self._type = node, TFMessage
+        self._subscriptions: list[Any] = []
+        # Child frame -> its parent, its pose in it (3,), and the stamp [ns], None if static.
+        self._edges: dict[str, tuple[str, FloatArray, int | None]] = {}
+        self._known: dict[tuple[str, str], FramePlace] = {}
 
-    def planar(self, target: str, source: str) -> tuple[float, float, float]:
-        """Return the latest x [m], y [m], turn [rad] of a source frame in a target frame."""
+    def destroy(self) -> None:
+        """End the subscriptions."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = []
+
+    def place(self, frame: str, within: str) -> FramePlace:
+        """Return where a frame is in another one; raise FrameError while that is not known."""
+        if not self._subscriptions:
+            self._listen()
+        found = self._known.get((frame, within))
+        if found is None:
+            found = self._known[frame, within] = self._found(frame, within)
+        return found
+
+    def _listen(self) -> None:
+        for topic, durability in _TOPICS.items():
+            qos = QoSProfile(depth=_DEPTH, durability=durability)
+            take = functools.partial(self._take, topic == "/tf_static")
+            self._subscriptions.append(
+                self._node.create_subscription(self._type, topic, take, qos, raw=True)
+            )
+
+    def _take(self, is_static: bool, raw: bytes) -> None:
         try:
-            found = self._buffer.lookup_transform(target, source, Time()).transform
-        except self._failure as error:
-            reason = " ".join(str(error).split()).rstrip(".")
-            raise FrameError(
-                f"path is in frame '{source}', odometry in '{target}', and tf2 does not connect "
-                f"them ({reason}): publish the transform"
-            ) from None
-        turn = yaw_of_quaternion(
-            found.rotation.x, found.rotation.y, found.rotation.z, found.rotation.w
-        )
-        return float(found.translation.x), float(found.translation.y), turn
+            found = read_transforms(raw)
+        except CdrError:
+            return
+        for item in found:
+            if np.isfinite(item.pose).all():
+                stamp = None if is_static else item.stamp
+                self._edges[item.child] = item.parent, item.pose, stamp
+        self._known.clear()
+
+    def _found(self, frame: str, within: str) -> FramePlace:
+        up, down = self._above(frame), self._above(within)
+        shared = next((name for name in up if name in down), None)
+        if shared is None:
+            raise FrameError(f"no transform from '{frame}' to '{within}' is known")
+        pose = np.zeros(3)
+        rising, falling = up[: up.index(shared)], down[: down.index(shared)]
+        for name in rising:
+            pose = pose_in_frame(pose, self._edges[name][1])
+        for name in reversed(falling):
+            pose = tracking_error(pose, self._edges[name][1])
+        stamps = [self._edges[name][2] for name in (*rising, *falling)]
+        oldest = min((stamp for stamp in stamps if stamp is not None), default=None)
+        return FramePlace(pose, oldest, (*rising, shared, *reversed(falling)))
+
+    def _above(self, frame: str) -> list[str]:
+        """Return a frame and those above it, from the lowest to the root."""
+        found = [frame]
+        while found[-1] in self._edges and len(found) < _DEEPEST:
+            found.append(self._edges[found[-1]][0])
+        return found
 
 
-def frame_transform(node: Node) -> FrameTransform | None:
-    """Return what knows the frames, None where tf2 is not installed."""
+def frames_of(node: Node) -> Frames | None:
+    """Return what knows the frames, None where `tf2_msgs` is not installed."""
     try:
-        return Tf2Transform(node)
+        return Frames(node)
     except ImportError:
         return None

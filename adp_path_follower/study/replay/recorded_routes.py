@@ -25,6 +25,7 @@ class RecordedRoutes:
     ) -> None:
         """Take a run; the rest is what to prepare its routes with, as in `RecordedDriver`."""
         self._poses = [poses for _, poses in run.paths]
+        self._frames = run.path_frames or ("",) * len(run.paths)
         self._fixed, self._overlay = fixed, overlay or {}
         names = {field.name for field in setting_fields(Settings) if field.group == "path"}
         self._laid = names.intersection(self._overlay)
@@ -33,16 +34,19 @@ class RecordedRoutes:
         self._changes = [change for _, change in configurations]
         self._known = _path_settings(self._changes)
         self._prepared: dict[tuple[int, PathSettings, tuple[float, ...]], Route | None] = {}
-        self._found: dict[tuple[str, tuple[float, ...]], Route] = {}
+        self._found: dict[tuple[str, tuple[float, ...]], tuple[int, Route]] = {}
 
     def last(self, settings: Settings) -> Route:
         """Return the route of the last path; raise PathError if it cannot be followed."""
         poses = [poses for poses in self._poses if len(poses)]
         return _route(poses[-1], settings.path, ())
 
-    def in_force(self) -> list[tuple[int, Route]]:
-        """Return the routes that the controller said it followed, and since which arrival [ns]."""
-        found: list[tuple[int, Route]] = []
+    def in_force(self) -> list[tuple[int, Route, str]]:
+        """Return since which arrival [ns] the controller said it followed which routes.
+
+        The last of the three is the frame of the route, empty for that of the odometry.
+        """
+        found: list[tuple[int, Route, str]] = []
         last: tuple[str, tuple[float, ...]] | None = None
         for time, change in zip(self._times, self._changes, strict=True):
             key = change.path_digest, change.transform
@@ -53,7 +57,8 @@ class RecordedRoutes:
             except FileError:  # its path is not in the bag
                 return []
             if route is not None:
-                found.append((time, route))
+                number, _ = self._found[key]
+                found.append((time, route, "" if change.transform else self._frames[number]))
                 last = key
         return found
 
@@ -75,8 +80,8 @@ class RecordedRoutes:
             wanted = self._wanted(change.settings, prepared)
             if wanted != prepared:
                 route = _route(self._poses[number], wanted, change.transform)
-            self._found[key] = route
-        return self._found[key]
+            self._found[key] = number, route
+        return self._found[key][1]
 
     def _wanted(self, settings: Settings, prepared: PathSettings) -> PathSettings:
         """Return what to prepare a path with that was prepared before these settings."""
@@ -129,6 +134,11 @@ def _configurations(run: Run) -> list[tuple[int, Configuration]]:
 
 
 def _path_settings(changes: list[Configuration]) -> list[PathSettings]:
-    """Return all settings of paths in configurations, and those of versions without any."""
+    """Return all settings of paths in configurations, and those of versions without any.
+
+    The path of a goal is open, whatever they say.
+    """
     exact = replace(PathSettings(), path_tolerance=0.0)
-    return list(dict.fromkeys([*(change.settings.path for change in changes), exact]))
+    given = dict.fromkeys([*(change.settings.path for change in changes), exact])
+    opened = [replace(item, path_closed="open") for item in given if item.path_closed == "auto"]
+    return list(dict.fromkeys([*given, *opened]))

@@ -31,7 +31,9 @@ _KINDS = {
     "/path_follower/cost": "std_msgs/msg/Float64",
     "/path_follower/configuration": "std_msgs/msg/String",
 }
-_COPIED = ("odom", "path", "ground_truth", "initial_weights")  # of the recorded run, as they are
+# Of the recorded run, as they are.
+_COPIED = ("odom", "path", "goal_path", "ground_truth", "initial_weights")
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 # Arrival [ns], topic, serialised message.
 _Entry = tuple[int, str, bytes]
@@ -52,11 +54,15 @@ def write_replay(
     """
     copied = [topics[key] for key in _COPIED if key in topics]
     if velocity is not None:
-        copied = [topics[key] for key in ("path", "initial_weights") if key in topics]
+        copied = [topics[key] for key in _COPIED[1:] if key in topics and key != "ground_truth"]
     writer = BagWriter(bag, {"replay_of": source.name}, chunked=True)
     numbers: dict[str, int] = {}
     with Reader(source) as reader:
-        connections = [item for item in reader.connections if item.topic in copied]
+        connections = [
+            item
+            for item in reader.connections
+            if item.topic in copied or (item.msgtype == _TRANSFORMS and velocity is None)
+        ]
         for connection in connections:
             if connection.topic not in numbers:
                 numbers[connection.topic] = writer.add_topic(connection.topic, connection.msgtype)

@@ -17,7 +17,6 @@ from any_messages import PERIOD, odometry, paths
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
-from nav_msgs.msg import Path as PathMessage
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -57,8 +56,8 @@ class Spied(PathFollowerNode):
         self._supervisor.resume()
         odometry, path, commands = self._parts.odometry, self._parts.path, self._parts.commands
         odometry.measurement, odometry._check = None, OdometryCheck()
-        path._receive(serialize_message(PathMessage()))
-        path.odometry_in(FRAMES[0])
+        path.stop()
+        self._parts.frame.odometry_in(*FRAMES)
         self._supervisor.active = True
         self.commands, self.told = [], None
         commands.send, commands.stop = self.sent, self.stopped
@@ -107,7 +106,8 @@ class Spied(PathFollowerNode):
         if isinstance(message, Odometry):
             self.take_bytes(serialize_message(message))
         else:
-            self._parts.path._receive(serialize_message(message))
+            now = {"source_timestamp": time.monotonic_ns()}
+            self._parts.path._receive(serialize_message(message), now)
         self._take_path()
         self._watch()
 

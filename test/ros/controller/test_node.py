@@ -157,13 +157,13 @@ def test_a_bad_path_is_refused_and_the_present_one_goes_on(drive, kind, cause):
     drive.until_moving()
 
 
-def test_path_in_another_frame_is_refused_when_odometry_comes_later(peer, start):
+def test_path_in_another_frame_waits_when_odometry_comes_later(peer, start):
     node = start("controller")
     peer.until_matched(peer.odometry, peer.path)
     peer.send_path(frame="map")
     peer.until(lambda: "new path" in node.output(), "the path")
     peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.0, 0.0)))
-    peer.until(lambda: "path is in frame 'map'" in node.output(), "the refusal")
+    peer.until(lambda: "path is in frame 'map'" in node.output(), "the cause")
 
 
 def test_parameters_change_while_driving_or_are_refused(drive):

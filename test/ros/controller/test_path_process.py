@@ -29,13 +29,12 @@ CIRCLE = serialize_message(poses_message(circle(1.0).points(0.05), "odom", 0))
 SPOT = serialize_message(poses_message(lissajous().points(1e3), "odom", 0))[:60]
 
 
-@pytest.mark.parametrize("transform", [(), (1.0, -2.0, 0.3)])
-def test_the_route_is_the_one_that_is_made_here(transform):
+def test_the_route_is_the_one_that_is_made_here():
     with FittingProcess() as fitting:
         for tolerance in (0.0, 0.05):
             settings = PathSettings(path_tolerance=tolerance)
-            there = fitting.route(EIGHT, transform, settings)
-            here = route_of_message(EIGHT, transform, settings)
+            there = fitting.route(EIGHT, settings)
+            here = route_of_message(EIGHT, settings)
             assert there.digest() == here.digest()
             pose = np.array([1.0, 0.5, 0.2])
             assert there.nearest(pose) == here.nearest(pose)
@@ -48,12 +47,12 @@ def test_the_route_is_the_one_that_is_made_here(transform):
 )
 def test_what_is_refused_is_refused_with_the_same_words(raw):
     with pytest.raises((AdpError, CdrError)) as here:
-        route_of_message(raw, (), PathSettings())
+        route_of_message(raw, PathSettings())
     with FittingProcess() as fitting:
         with pytest.raises(PathError) as there:
-            fitting.route(raw, (), PathSettings())
+            fitting.route(raw, PathSettings())
         assert str(there.value) == reason(here.value)
-        assert fitting.route(EIGHT, (), PathSettings()).closed  # and it goes on
+        assert fitting.route(EIGHT, PathSettings()).closed  # and it goes on
 
 
 def test_a_process_that_has_ended_meanwhile_is_replaced():
@@ -62,7 +61,7 @@ def test_a_process_that_has_ended_meanwhile_is_replaced():
             ended = fitting.pid
             os.kill(ended, signal.SIGKILL)
             _until_dead(ended)
-            assert fitting.route(EIGHT, (), PathSettings()).closed
+            assert fitting.route(EIGHT, PathSettings()).closed
             assert fitting.pid != ended
 
 
@@ -74,8 +73,8 @@ def test_an_answer_that_cannot_be_taken_is_not_taken_for_the_next_one(monkeypatc
         with monkeypatch.context() as patch:
             patch.setattr(path_process, "_receive", fail)
             with pytest.raises(PathError, match="unexpected MemoryError: no"):
-                fitting.route(EIGHT, (), PathSettings())
-        assert fitting.route(CIRCLE, (), PathSettings()).length < 10.0
+                fitting.route(EIGHT, PathSettings())
+        assert fitting.route(CIRCLE, PathSettings()).length < 10.0
 
 
 def kill_itself(*request):
@@ -108,11 +107,11 @@ def test_a_path_that_the_process_is_lost_at_is_refused(monkeypatch, defect, told
             if defect is stop_itself:
                 patch.setattr(path_process, "_PATIENCE", 1.0)
             with pytest.raises(PathError, match=told):
-                fitting.route(EIGHT, (), PathSettings())
+                fitting.route(EIGHT, PathSettings())
         if defect is fail:
             assert fitting.pid == first  # and goes on
             return
-        assert fitting.route(EIGHT, (), PathSettings()).closed
+        assert fitting.route(EIGHT, PathSettings()).closed
         assert fitting.pid != first
 
 
@@ -122,7 +121,7 @@ def test_a_machine_with_no_process_left_prepares_paths_all_the_same(monkeypatch)
 
     monkeypatch.setattr(os, "fork", fork)
     with FittingProcess() as fitting:
-        assert fitting.route(EIGHT, (), PathSettings()).closed
+        assert fitting.route(EIGHT, PathSettings()).closed
 
 
 def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd, monkeypatch):
@@ -137,7 +136,7 @@ def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd, monkeypa
 
     def ask() -> None:
         with pytest.raises(SystemExit):
-            fitting.route(EIGHT, (), PathSettings())
+            fitting.route(EIGHT, PathSettings())
         ended.append(True)
 
     with FittingProcess() as fitting:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 from pathlib import Path as FilePath
@@ -21,14 +20,12 @@ from adp_path_follower.analysis.recorded_run import drive_of
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.cdr import CdrError
-from adp_path_follower.messages.configuration import parse_configuration
-from adp_path_follower.messages.raw import is_empty, read_path, transformed
+from adp_path_follower.messages.raw import is_empty, read_path
 from adp_path_follower.ros.controller.path_process import route_of_message
 from adp_path_follower.ros.controller.path_worker import PathIntake, PathRequest, answer
 from adp_path_follower.ros.runtime.conversions import quaternion_of
-from adp_path_follower.ros.runtime.frames import FrameError, frame_transform
 from adp_path_follower.study.replay.replay import replay
-from live_nodes import is_zero, running_script
+from live_nodes import is_zero
 
 LINE = np.stack([np.linspace(0.0, 4.0, 41), np.zeros(41), np.zeros(41)], axis=1)
 
@@ -77,7 +74,7 @@ def test_damaged_bytes_are_refused_or_read_and_nothing_else(cut, place, value):
         except CdrError:
             continue
         assert poses.shape == (len(poses), 3)
-        assert answer(PathRequest(damaged, PathSettings(), "odom"), None) is not None
+        assert answer(PathRequest(damaged, PathSettings())) is not None
 
 
 def test_an_empty_path_is_known_at_once():
@@ -86,84 +83,47 @@ def test_an_empty_path_is_known_at_once():
     assert not is_empty(b"")
 
 
-class KnownFrames:
-    """Knows the frames that a test names; stands in for tf2."""
-
-    def __init__(self) -> None:
-        self.known: dict[tuple[str, str], tuple[float, float, float]] = {}
-
-    def planar(self, target: str, source: str) -> tuple[float, float, float]:
-        """Return what the test has named."""
-        if (target, source) not in self.known:
-            raise FrameError(f"no transform from {source} to {target}")
-        return self.known[target, source]
-
-
-def test_a_path_is_transformed_into_the_frame_of_the_odometry():
-    frames = KnownFrames()
-    request = PathRequest(serialize_message(message_of(LINE, "map")), PathSettings(), "odom")
-    assert "install tf2_ros" in answer(request, None).problem
-    missing = answer(request, frames)
-    assert missing.may_come
-    assert missing.route is None
-    frames.known["odom", "map"] = (1.0, 2.0, 0.5 * math.pi)
-    found = answer(request, frames)
-    assert (found.followed_frame, found.transform) == ("odom", (1.0, 2.0, 0.5 * math.pi))
-    path = found.route.segments[0].path
-    np.testing.assert_allclose(path.frame(0.0).pose, [1.0, 2.0, 0.5 * math.pi], atol=1e-9)
-    np.testing.assert_allclose(path.frame(path.length).pose[:2], [1.0, 6.0], atol=1e-9)
-    back = transformed(transformed(LINE, (1.0, 2.0, 0.3)), (0.0, 0.0, 0.0))
-    np.testing.assert_allclose(np.hypot(*np.diff(back[:, :2], axis=0).T), 0.1)
-
-
-def test_without_tf2_there_is_no_transform(peer):
-    if any((FilePath(folder) / "tf2_ros").is_dir() for folder in sys.path):
-        assert frame_transform(peer.node) is not None
-    else:
-        assert frame_transform(peer.node) is None
-
-
 def request_of(poses: np.ndarray, **values: object) -> PathRequest:
-    return PathRequest(serialize_message(message_of(poses)), PathSettings(**values), "odom")
+    return PathRequest(serialize_message(message_of(poses)), PathSettings(**values))
 
 
 def test_the_latest_path_counts_and_settings_that_change_ask_again():
     ready = threading.Event()
-    intake = PathIntake(None, ready.set)
+    intake = PathIntake(ready.set)
     try:
         longer = np.repeat(LINE, 500, axis=0) + np.linspace(0.0, 1e-3, 20_500)[:, None]
         intake.submit(request_of(longer))
         intake.submit(request_of(LINE))
         assert ready.wait(30.0)
-        found = intake.take(PathSettings(), "odom")
+        found = intake.take(PathSettings())
         assert found is not None
         assert found.route.length == pytest.approx(4.0)
-        assert intake.take(PathSettings(), "odom") is None
+        assert intake.take(PathSettings()) is None
         ready.clear()
         intake.submit(request_of(LINE))
         assert ready.wait(30.0)
         ready.clear()
         changed = PathSettings(path_tolerance=0.2)
-        assert intake.take(changed, "odom") is None
+        assert intake.take(changed) is None
         assert ready.wait(30.0)
-        assert intake.take(changed, "odom").request.settings == changed
+        assert intake.take(changed).request.settings == changed
         ready.clear()
         intake.submit(request_of(LINE))
         intake.cancel()
-        assert not ready.wait(0.3) or intake.take(PathSettings(), "odom") is None
+        assert not ready.wait(0.3) or intake.take(PathSettings()) is None
     finally:
         intake.close()
 
 
 def test_the_same_path_again_is_answered_again():
     ready = threading.Event()
-    intake = PathIntake(None, ready.set)
+    intake = PathIntake(ready.set)
     try:
         for _ in range(3):
             ready.clear()
             intake.submit(request_of(LINE))
             assert ready.wait(30.0)
-            assert intake.take(PathSettings(), "odom").route is not None
+            assert intake.take(PathSettings()).route is not None
             time.sleep(0.05)  # the thread waits again
             intake.cancel()
     finally:
@@ -173,18 +133,18 @@ def test_the_same_path_again_is_answered_again():
 def test_a_path_that_cannot_be_fitted_for_whatever_reason_is_refused_and_the_next_is_not():
     ready = threading.Event()
 
-    def defective(raw, transform, settings):
+    def defective(raw, settings):
         if settings.path_tolerance == 0.0:
             raise LookupError("a defect")
-        return route_of_message(raw, transform, settings)
+        return route_of_message(raw, settings)
 
-    intake = PathIntake(None, ready.set, defective)
+    intake = PathIntake(ready.set, defective)
     try:
         for tolerance in (0.0, 0.05):
             ready.clear()
             intake.submit(request_of(LINE, path_tolerance=tolerance))
             assert ready.wait(30.0)
-            found = intake.take(PathSettings(path_tolerance=tolerance), "odom")
+            found = intake.take(PathSettings(path_tolerance=tolerance))
             assert (found.route is None) == (tolerance == 0.0)
             assert ("LookupError: a defect" in found.problem) == (tolerance == 0.0)
     finally:
@@ -194,12 +154,12 @@ def test_a_path_that_cannot_be_fitted_for_whatever_reason_is_refused_and_the_nex
 def test_closing_does_not_wait_for_a_path_that_takes_for_ever():
     fitting, end, answered = threading.Event(), threading.Event(), threading.Event()
 
-    def endless(raw, transform, settings):
+    def endless(raw, settings):
         fitting.set()
         end.wait()
-        return route_of_message(raw, transform, settings)
+        return route_of_message(raw, settings)
 
-    intake = PathIntake(None, answered.set, endless)
+    intake = PathIntake(answered.set, endless)
     intake.submit(request_of(LINE))
     assert fitting.wait(30.0)
     closing = threading.Thread(target=intake.close)
@@ -212,41 +172,7 @@ def test_closing_does_not_wait_for_a_path_that_takes_for_ever():
     assert not answered.wait(0.5)
 
 
-def test_a_transform_that_comes_late_is_asked_for_again():
-    frames, ready = KnownFrames(), threading.Event()
-    intake = PathIntake(frames, ready.set)
-    try:
-        raw = serialize_message(message_of(LINE, "map"))
-        intake.submit(PathRequest(raw, PathSettings(), "odom"))
-        assert ready.wait(30.0)
-        ready.clear()
-        assert intake.take(PathSettings(), "odom").may_come
-        frames.known["odom", "map"] = (0.0, 1.0, 0.0)
-        for _ in range(300):
-            intake.retry()
-            if ready.wait(0.1):
-                break
-        assert intake.take(PathSettings(), "odom").transform == (0.0, 1.0, 0.0)
-    finally:
-        intake.close()
-
-
 # --- real nodes ---------------------------------------------------------------------------------
-
-WITH_FRAMES = """
-import sys
-from adp_path_follower.ros.controller import path_input
-from adp_path_follower.ros.controller import process as controller_process
-
-
-class Known:
-    def planar(self, target, source):
-        return (0.2, -0.1, 0.3)
-
-
-path_input.frame_transform = lambda node: Known()
-sys.exit(controller_process.main())
-"""
 
 
 def replayed(bag: FilePath) -> tuple[object, object]:
@@ -268,26 +194,6 @@ def until_recorded(peer) -> None:
         ),
         "the recorder",
     )
-
-
-@pytest.mark.nodes
-def test_a_path_of_another_frame_is_followed_and_replayed(peer, start, domain, tmp_path):
-    commands = peer.listen(TwistStamped, "cmd_vel")
-    recorder = start("recorder", output=str(tmp_path / "bag"))
-    log = tmp_path / "controller.log"
-    with running_script(WITH_FRAMES, domain, log) as process:
-        start("sim_unicycle")
-        peer.until_matched(peer.path)
-        until_recorded(peer)
-        peer.path.publish(message_of(LINE, "map"))
-        peer.until(lambda: sum(not is_zero(item) for item in commands) > 100, "commands")
-        process.terminate()
-        process.wait(30.0)
-    recorder.stop()
-    _, found = replayed(tmp_path / "bag")
-    assert parse_configuration(found.configurations[-1][1]).transform == (0.2, -0.1, 0.3)
-    start_pose = found.follower.path.frame(0.0).pose
-    np.testing.assert_allclose(start_pose, [0.2, -0.1, 0.3], atol=1e-6)
 
 
 @pytest.mark.nodes

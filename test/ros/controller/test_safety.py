@@ -19,6 +19,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from adp_path_follower.core.settings.groups import ControllerSettings
 from adp_path_follower.ros.controller.commands import Commands
 from live_nodes import Drive, Peer, ends_with_stop, is_zero, running_script
 
@@ -185,7 +186,7 @@ sys.exit(process.main())
 
 @pytest.mark.parametrize(
     ("owner", "name"),
-    [("PathFollower", "step_at"), ("PathInput", "odometry_in"), ("Telemetry", "step")],
+    [("PathFollower", "step_at"), ("PathInput", "missing_frame"), ("Telemetry", "step")],
 )
 def test_a_node_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_path, owner, name):
     commands = peer.listen(TwistStamped, "cmd_vel")
@@ -208,7 +209,7 @@ def test_a_node_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_path,
 def test_a_stop_is_said_ten_times_however_long_that_was_kept_waiting(peer):
     heard = peer.listen(TwistStamped, "cmd_vel")
     node = rclpy.create_node("path_follower", context=peer.context)
-    commands = Commands(node, stamped=True, lossless=False, timeout=lambda: 60.0)
+    commands = Commands(node, ControllerSettings)
     peer.until(lambda: node.count_subscribers("cmd_vel"), "the listener")
     peer.until(lambda: commands.repeat_stop() or heard, "the first words to it")
     peer.until_quiet(heard, 0.2)
@@ -251,7 +252,7 @@ def test_status_is_known_at_once_to_those_who_come_late(drive):
 def test_odometry_in_another_frame_stops_the_robot_until_a_path_comes_in_it(drive):
     drive.odometry = {"frame_id": "map"}
     assert silent_after_stop(drive)
-    drive.until_diagnosed("path is in frame 'odom', but odometry in 'map'")
+    drive.until_diagnosed("path is in frame 'odom', but odometry in 'map'", level=b"\x01")
     drive.peer.send_path(frame="map")
     drive.until_moving()
 

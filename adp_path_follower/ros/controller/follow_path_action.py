@@ -1,0 +1,231 @@
+"""The action `follow_path` of Nav2's controller server, where `nav2_msgs` is installed."""
+
+import time as steady
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from nav_msgs.msg import Path as PathMessage
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+
+from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.path.progress import Place
+from adp_path_follower.core.safety.supervisor import Kind, State, Status
+from adp_path_follower.core.settings.navigation import NavigationSettings
+from adp_path_follower.ros.controller.path_input import PathInput
+from adp_path_follower.ros.controller.path_worker import PathAnswer
+from adp_path_follower.ros.runtime.qos import LATCHED
+
+_RESULT_TIMEOUT = 10  # [s] that a result is kept, as in Nav2
+
+# The error code of each kind of cause, by its name in the result of the action.
+_CODES = {
+    Kind.PROGRESS: "FAILED_TO_MAKE_PROGRESS",
+    Kind.DEVIATION: "NO_VALID_CONTROL",
+    Kind.COMMAND: "NO_VALID_CONTROL",
+    Kind.LATE: "CONTROLLER_TIMED_OUT",
+    Kind.TRANSFORM: "TF_ERROR",
+}
+_WAITS_FOR_SOMEBODY = (Kind.PROGRESS, Kind.DEVIATION)  # no patience helps
+
+
+@dataclass(frozen=True)
+class Site:
+    """The parts of the controller that an action reads."""
+
+    settings: Callable[[], NavigationSettings]
+    status: Callable[[], Status]
+    active: Callable[[], bool]
+    driver: Callable[[], Driver]
+    speed: Callable[[], float]  # of the robot [m/s]
+    hurry: Callable[[], None]  # asks for `look` soon
+
+
+class FollowPathAction:
+    """Lets the controller follow the path of one goal at a time; the last one commands."""
+
+    def __init__(self, node: Node, path: PathInput, site: Site) -> None:
+        """Offer the action; raise ImportError without `nav2_msgs`."""
+        from nav2_msgs.action import FollowPath
+
+        self._type, self._path, self._site = FollowPath, path, site
+        self._node, self._logger = node, node.get_logger()
+        self._followed = node.create_publisher(PathMessage, "~/goal_path", LATCHED)
+        self._goal: ServerGoalHandle | None = None
+        self._standing_since: float | None = None  # steady [s]
+        self._server = _Server(
+            *(node, FollowPath, "follow_path"),
+            execute_callback=_never,
+            goal_callback=self._wanted,
+            handle_accepted_callback=self._begin,
+            cancel_callback=self._cancel,
+            result_timeout=_RESULT_TIMEOUT,
+        )
+
+    def destroy(self) -> None:
+        """Withdraw the action."""
+        self._server.destroy()
+        self._node.destroy_publisher(self._followed)
+
+    def path_followed(self, found: PathAnswer) -> None:
+        """Publish a path that is followed for a goal, so that a recording is complete."""
+        if found.request.goal is not None:
+            self._followed.publish(found.request.raw)
+
+    def path_on_topic(self) -> None:
+        """End the goal, because a path has come on the topic: the last one commands."""
+        if self._goal is not None:
+            self._logger.info("a path on the topic takes over from the goal of follow_path")
+            self._end(self._goal.abort, "UNKNOWN")
+
+    def path_refused(self, found: PathAnswer) -> None:
+        """End the goal whose path cannot be followed."""
+        if self._goal is not None and found.request.goal is self._goal:
+            self._abort("CONTROLLER_TIMED_OUT" if found.timed_out else "INVALID_PATH")
+        elif self._goal is None and self._path.goal is not None:
+            self._path.stop()  # its goal has ended
+
+    def deactivated(self) -> None:
+        """End the goal, as nobody is there to drive."""
+        if self._goal is not None:
+            self._abort("UNKNOWN")
+
+    def look(self) -> None:
+        """Tell how far the robot is, and end the goal if it is reached, cancelled or hopeless."""
+        goal = self._goal
+        if goal is None:
+            return
+        if goal.is_cancel_requested:
+            self._end(goal.canceled, "NONE")
+            return
+        is_followed: bool = self._path.goal is goal
+        if not is_followed:  # it is being prepared
+            return
+        feedback = self._type.Feedback(speed=self._site.speed())
+        feedback.distance_to_goal = distance_to_goal(self._site.driver())
+        goal.publish_feedback(feedback)
+        status = self._site.status()
+        if status.state is State.GOAL_REACHED:
+            self._logger.info("goal of follow_path reached")
+            self._end(goal.succeed, "NONE")
+        elif status.state is State.FOLLOWING:
+            self._standing_since = None
+        else:
+            self._stand(status)
+
+    def _stand(self, status: Status) -> None:
+        """Abort the goal of a robot that may not drive, at once or when patience is over."""
+        now = steady.monotonic()
+        since = self._standing_since = self._standing_since or now
+        over = now - since >= self._site.settings().failure_tolerance
+        if over or status.kind in _WAITS_FOR_SOMEBODY:
+            self._logger.error(f"goal of follow_path aborted: {status.cause}")
+            self._abort(_CODES.get(status.kind, "PATIENCE_EXCEEDED"))
+
+    def _wanted(self, request: Any) -> GoalResponse:
+        if self._site.active():
+            return GoalResponse.ACCEPT
+        self._logger.warning("goal of follow_path rejected: the controller is not active")
+        return GoalResponse.REJECT
+
+    def _begin(self, goal: ServerGoalHandle) -> None:
+        """Follow a goal's path; the robot drives on along the present one until it is prepared."""
+        if self._goal is not None:
+            self._end(self._goal.abort, "NONE")
+        self._goal, self._standing_since = goal, None
+        goal.execute()
+        request, settings = goal.request, self._site.settings()
+        for name, given, known, code in (
+            ("controller", request.controller_id, settings.controller_ids, "INVALID_CONTROLLER"),
+            ("goal_checker", request.goal_checker_id, settings.goal_checker_ids, "UNKNOWN"),
+        ):
+            if given and given not in known:
+                self._logger.error(
+                    f"goal of follow_path aborted: {name}_id '{given}' is none of {name}_ids, "
+                    f"{', '.join(known)}"
+                )
+                self._abort(code)
+                return
+        if not request.path.poses:
+            self._logger.error("goal of follow_path aborted: its path has no poses")
+            self._abort("INVALID_PATH")
+            return
+        self._path.submit(serialize_message(request.path), goal)
+
+    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        if goal is self._goal:
+            self._logger.info("goal of follow_path cancelled")
+            self._path.stop()
+            self._site.hurry()
+        return CancelResponse.ACCEPT
+
+    def _abort(self, code: str) -> None:
+        """End the goal without success, and with it the drive."""
+        assert self._goal is not None  # the caller has looked
+        self._end(self._goal.abort, code)
+        self._path.stop()
+
+    def _end(self, change: Callable[[], None], code: str) -> None:
+        goal, self._goal = self._goal, None
+        result = self._type.Result(error_code=getattr(self._type.Result, code))
+        self._server.end(goal, change, result)
+
+
+class NoAction:
+    """Stand for the action where `nav2_msgs` is not installed."""
+
+    def destroy(self) -> None:
+        """Do nothing, as all others."""
+
+    path_on_topic = deactivated = look = destroy
+
+    def path_followed(self, found: PathAnswer) -> None:
+        """Do nothing."""
+
+    path_refused = path_followed
+
+
+def follow_path_action(node: Node, path: PathInput, site: Site) -> FollowPathAction | NoAction:
+    """Return the action, or what stands for it."""
+    try:
+        return FollowPathAction(node, path, site)
+    except ImportError:
+        node.get_logger().info("no action follow_path: nav2_msgs is not installed")
+        return NoAction()
+
+
+def distance_to_goal(driver: Driver) -> float:
+    """Return the length of the route that is left [m], 0 without one."""
+    if driver.route is None or driver.follower is None:
+        return 0.0 if driver.route is None else driver.route.length
+    here = Place(driver.segment, float(driver.follower.arc_length))
+    return max(0.0, driver.route.length - here.along(driver.route))
+
+
+class _Server(ActionServer):
+    """Ends goals when it is told to.
+
+    rclpy would keep a task for each goal, and look at it in every turn of its loop.
+    """
+
+    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
+        """Leave it to the owner."""
+
+    def end(self, goal: Any, change: Callable[[], None], result: Any) -> None:
+        """Change a goal to its final state, and answer whoever waits for its result."""
+
+        def finish(_: Any) -> Any:
+            change()
+            return result
+
+        if self._node.executor is None:  # the node is about to go
+            change()
+        else:
+            super().notify_execute(goal, finish)
+
+
+def _never(goal: Any) -> None:
+    """Stand for the callback that rclpy asks for."""
