@@ -24,11 +24,12 @@ from adp_path_follower.ros.runtime.conversions import (
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
 from adp_path_follower.ros.runtime.qos import EVERY_STEP, LOSSLESS
 from adp_path_follower.ros.runtime.run import Ending, run_node
-from adp_path_follower.ros.runtime.triggers import trigger_service
+from adp_path_follower.ros.runtime.triggers import trigger_services
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.odometry import Reading
 from sim_unicycle.robots import with_robot
 from sim_unicycle.settings import SimulatorSettings
+from sim_unicycle.transforms import Transforms
 from sim_unicycle.unicycle import Unicycle
 
 NODE_NAME = "unicycle_sim"
@@ -80,6 +81,7 @@ class SimulatorNode(Ending, Node):
         qos = LOSSLESS if simulation.lockstep else EVERY_STEP
         self._odometry = self.create_publisher(Odometry, "odom", qos)
         self._ground_truth = self.create_publisher(Odometry, "ground_truth", qos)
+        self._transforms = Transforms(self, self._settings.frames.publish_tf)
         self._clock_publisher = None
         if self._own_clock:
             self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 10)
@@ -87,7 +89,7 @@ class SimulatorNode(Ending, Node):
         self._command_subscription = self._subscribe_commands()
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DISCOVERY_PERIOD, self._match_command_type, clock=steady_clock)
-        trigger_service(self, "~/reset", self._reset)
+        trigger_services(self, {"reset": self._reset})
         period = self._period / NANOSECONDS / simulation.real_time_factor
         if simulation.lockstep:
             self._publish(self._settings)
@@ -221,8 +223,8 @@ class SimulatorNode(Ending, Node):
             self._clock_publisher.publish(
                 ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds))
             )
-        simulation = settings.simulation
-        frames = simulation.odom_frame, simulation.base_frame
+        frames = settings.frames.odom_frame, settings.frames.base_frame
+        self._frames = settings.frames
         # Kept, so that lock-step repeats the same messages: the same noise.
         self._truth_message = odometry_message(time, robot.pose, robot.twist, frames)
         self._odometry_messages = []
@@ -237,7 +239,9 @@ class SimulatorNode(Ending, Node):
 
     def _send_state(self) -> None:
         self._ground_truth.publish(self._truth_message)
+        elapsed = (self._time - self._start_time) / NANOSECONDS
         for message in self._odometry_messages:
+            self._transforms.publish(message, self._frames, elapsed)
             self._odometry.publish(message)
 
 
@@ -271,10 +275,10 @@ def published_time(time: int, settings: SimulatorSettings) -> int:
 
 def odometry_of(reading: Reading, time: int, settings: SimulatorSettings) -> Odometry:
     """Return the message of a reading at a simulated time [ns], with the faults of the settings."""
-    faults, simulation = settings.message_faults, settings.simulation
+    faults, own = settings.message_faults, settings.frames
     frames = (
-        faults.reported_odom_frame or simulation.odom_frame,
-        faults.reported_base_frame or simulation.base_frame,
+        faults.reported_odom_frame or own.odom_frame,
+        faults.reported_base_frame or own.base_frame,
     )
     stamp = published_time(time, settings) + round(NANOSECONDS * faults.odometry_stamp_offset)
     pose = reading.pose + np.array(faults.odometry_offset)

@@ -270,8 +270,6 @@ class SimulationSettings:
         "Script of timed parameters: a file, or the name of one in config/faults.",
         read_only="it is read at the start",
     )
-    odom_frame: str = setting("odom", "Frame of the odometry.", read_only=_WIRING)
-    base_frame: str = setting("base_link", "Frame of the robot.", read_only=_WIRING)
 
     def __post_init__(self) -> None:
         """Reject a pace that other nodes could not follow."""
@@ -283,6 +281,36 @@ class SimulationSettings:
 
 
 @dataclass(frozen=True)
+class FrameSettings:
+    """Frames."""
+
+    odom_frame: str = setting("odom", "Frame of the odometry.", read_only=_WIRING)
+    base_frame: str = setting("base_link", "Frame of the robot.", read_only=_WIRING)
+    map_frame: str = setting(
+        "map", "Frame that odometry's has a place in; empty for none.", read_only=_WIRING
+    )
+    publish_tf: bool = setting(
+        True, "Publish transforms on /tf, where tf2_msgs is installed.", read_only=_WIRING
+    )
+    map_offset: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0),
+        "Place x, y, theta of odometry's frame in the map; a localisation that jumps changes it.",
+        unit="m, m, rad",
+        low=-1e6,
+        high=1e6,
+        lengths=(3,),
+    )
+    map_drift: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0),
+        "Rate at which that place changes from the start on, as odometry drifts.",
+        unit="m/s, m/s, rad/s",
+        low=-100.0,
+        high=100.0,
+        lengths=(3,),
+    )
+
+
+@dataclass(frozen=True)
 class SimulatorSettings:
     """All settings of the simulator; build them with `schema.build(SimulatorSettings, values)`."""
 
@@ -290,6 +318,7 @@ class SimulatorSettings:
     plant: PlantSettings = PlantSettings()
     message_faults: MessageFaultSettings = MessageFaultSettings()
     simulation: SimulationSettings = SimulationSettings()
+    frames: FrameSettings = FrameSettings()
 
     def __post_init__(self) -> None:
         """Reject faulty messages in lock-step, which waits for an answer to each message."""

@@ -109,6 +109,19 @@ class Peer:
             f"diagnostics with '{text}'",
         )
 
+    def until_recorded(self) -> None:
+        """Wait until the recorder listens to what a replay needs."""
+        topics = ("/cmd_vel", "/path", "/path_follower/configuration")
+        topics += ("/path_follower/measured_pose",)
+        self.until(
+            lambda: all(
+                "recorder"
+                in {info.node_name for info in self.node.get_subscriptions_info_by_topic(topic)}
+                for topic in topics
+            ),
+            "the recorder",
+        )
+
     def call(self, kind: type, name: str, request: Any = None) -> Any:
         """Return the answer of a service."""
         is_new = name not in self._clients

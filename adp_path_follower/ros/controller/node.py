@@ -22,7 +22,7 @@ from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import Commands
 from adp_path_follower.ros.controller.follow_path_action import Site, follow_path_action
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
-from adp_path_follower.ros.controller.parts import ControllerParts, start_teller
+from adp_path_follower.ros.controller.parts import ControllerParts, heard_topics, start_teller
 from adp_path_follower.ros.controller.path_input import PathInput
 from adp_path_follower.ros.controller.path_process import Fit, route_of_message
 from adp_path_follower.ros.controller.path_worker import PathAnswer
@@ -35,7 +35,7 @@ from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_setti
 from adp_path_follower.ros.runtime.path_frame import PathFrame
 from adp_path_follower.ros.runtime.run import Ending
 from adp_path_follower.ros.runtime.service_guards import defend_services, told_if_it_fails
-from adp_path_follower.ros.runtime.triggers import trigger_service
+from adp_path_follower.ros.runtime.triggers import trigger_services
 
 NODE_NAME = "path_follower"
 
@@ -101,6 +101,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             *(self, lambda: self.settings.path, self._follow_path, self._refuse_path),
             *(lambda: self._configured.action.path_on_topic(), frame, self._fit),
         )
+        limit = SpeedLimitInput(self, lambda: self.settings, self._answer_speed_limit)
         self._parts = ControllerParts(
             Commands(self, lambda: self.settings.controller),
             Telemetry(self, labels, lossless, lambda: self.settings.controller),
@@ -108,16 +109,13 @@ class PathFollowerNode(Ending, LifecycleNode):
             frame,
             path,
             follow_path_action(self, path, self._site),
-            SpeedLimitInput(self, lambda: self.settings, self._answer_speed_limit),
+            limit,
+            heard_topics(self, limit),
             Watchdog(self, self._watch),
             self._weights.entities(),
         )
-        for name, act in (
-            ("~/reset_learning", self._reset_learning),
-            ("~/stop", self._stop),
-            ("~/resume", self._resume),
-        ):
-            self._parts.entities.append(trigger_service(self, name, act))
+        acts = {"reset_learning": self._reset_learning, "stop": self._stop, "resume": self._resume}
+        self._parts.entities.extend(trigger_services(self, acts))
         if controller.control_trigger == "timer":
             timer = self.create_timer(1.0 / controller.controller_frequency, self._on_timer)
             self._parts.entities.append((self.destroy_timer, timer))
@@ -350,6 +348,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._supervisor.active and not following:
             parts.commands.repeat_stop()
         if steady.monotonic() >= self._next_diagnostics:
+            parts.speed_limit.match()
             self._publish_diagnostics()
         return self._supervisor.patience(steady.monotonic()) if following else WATCH_PERIOD
 
@@ -386,7 +385,8 @@ class PathFollowerNode(Ending, LifecycleNode):
             return
         self._next_diagnostics = steady.monotonic() + 1.0
         self._parts.telemetry.diagnostics(
-            self._now(), self.status, self._shown_since, self._parts.path.problem, self._driver
+            *(self._now(), self.status, self._shown_since, self._parts.path.problem),
+            *(self._driver, self._parts.topics.problem()),
         )
 
     def _publish_configuration(self) -> None:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
 
 from adp_path_follower.ros.controller.commands import Commands
 from adp_path_follower.ros.controller.follow_path_action import FollowPathAction, NoAction
@@ -14,6 +16,8 @@ from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
 from adp_path_follower.ros.controller.telemetry import Telemetry
 from adp_path_follower.ros.controller.watchdog import Watchdog
 from adp_path_follower.ros.runtime.path_frame import PathFrame
+from adp_path_follower.ros.runtime.qos import EVERY_STEP
+from adp_path_follower.ros.runtime.topic_check import TopicCheck
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,7 @@ class ControllerParts:
     path: PathInput
     action: FollowPathAction | NoAction
     speed_limit: SpeedLimitInput
+    topics: TopicCheck
     watchdog: Watchdog
     entities: list[tuple[Any, Any]]  # pairs of what destroys something of the node, and that
 
@@ -38,6 +43,18 @@ class ControllerParts:
         for part in (self.watchdog, *inputs, self.telemetry):
             part.destroy()
         self.commands.destroy()
+
+
+def heard_topics(node: Node, limit: SpeedLimitInput) -> TopicCheck:
+    """Return what looks whether the controller hears what is published for it."""
+    return TopicCheck(
+        node,
+        {
+            "odom": (("nav_msgs/msg/Odometry",), qos_profile_sensor_data),
+            "path": (("nav_msgs/msg/Path",), EVERY_STEP),
+            "speed_limit": (limit.types, EVERY_STEP),
+        },
+    )
 
 
 def start_teller(log: RcutilsLogger) -> Callable[[str, bool], None]:

@@ -244,8 +244,9 @@ class Telemetry:
         since: int,
         path_problem: str,
         driver: Driver,
+        topic_problem: str = "",
     ) -> None:
-        """Publish the state (which began at `since` [ns]), the path's problem and learning.
+        """Publish the state (which began at `since` [ns]), problems of topics, and learning.
 
         On /diagnostics always, with all values; on ~/status, which is latched, when it changes.
         """
@@ -259,12 +260,14 @@ class Telemetry:
             _LEVELS[status.state],
             DiagnosticStatus.ERROR if path_problem else DiagnosticStatus.OK,
             DiagnosticStatus.WARN
-            if learning_problem or self._robot_problem
+            if learning_problem or self._robot_problem or topic_problem
             else DiagnosticStatus.OK,
         )
         message = status.state.value + (f": {status.cause}" if status.cause else "")
         if path_problem:
             message += f"; path rejected: {path_problem}"
+        if topic_problem:
+            message += f"; {topic_problem}"
         if learning_problem:
             message += f"; Riccati policy instead of the learned one: {learning_problem}"
         if self._robot_problem:

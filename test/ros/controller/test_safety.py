@@ -167,7 +167,7 @@ HANGING_CONTROLLER = """
 import sys, time
 from adp_path_follower.ros.controller import process
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.ros.controller.path_input import PathInput
+from adp_path_follower.ros.runtime.path_frame import PathFrame
 from adp_path_follower.ros.controller.telemetry import Telemetry
 
 OWNER, NAME = {owner}, "{name}"
@@ -186,7 +186,7 @@ sys.exit(process.main())
 
 @pytest.mark.parametrize(
     ("owner", "name"),
-    [("PathFollower", "step_at"), ("PathInput", "missing_frame"), ("Telemetry", "step")],
+    [("PathFollower", "step_at"), ("PathFrame", "odometry_in"), ("Telemetry", "step")],
 )
 def test_a_node_that_hangs_does_not_keep_the_robot_going(peer, domain, tmp_path, owner, name):
     commands = peer.listen(TwistStamped, "cmd_vel")
