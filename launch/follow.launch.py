@@ -2,7 +2,7 @@
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import (
     EqualsSubstitution,
     IfElseSubstitution,
@@ -14,18 +14,26 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 PACKAGE = "adp_path_follower"
-BOOLEAN = ["true", "false"]
+BOOLEAN = ["true", "True", "TRUE", "1", "false", "False", "FALSE", "0"]
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the launch arguments and the nodes."""
     path = LaunchConfiguration("path")
-    use_sim_time = LaunchConfiguration("use_sim_time")
+    use_sim_time = _boolean("use_sim_time")
+    tf = LaunchConfiguration("tf")
     common = {
         "package": PACKAGE,
         "namespace": LaunchConfiguration("namespace"),
         "output": "screen",
         "on_exit": Shutdown(),
+        "remappings": [
+            ("odom", LaunchConfiguration("odom")),
+            ("cmd_vel", LaunchConfiguration("cmd_vel")),
+            ("path", LaunchConfiguration("path_topic")),
+            ("/tf", tf),
+            ("/tf_static", [tf, "_static"]),
+        ],
     }
     # Not in `parameters`, where launch_ros goes on without a file that is missing.
     arguments = [
@@ -53,7 +61,36 @@ def generate_launch_description() -> LaunchDescription:
                 "path",
                 default_value="lissajous",
                 description="Path to follow: lissajous (the paper's figure eight), line, "
-                "circle:KAPPA (curvature in 1/m, positive to the left), or a CSV or YAML file.",
+                "circle:KAPPA (curvature in 1/m, positive to the left), a CSV or YAML file, or "
+                "none: it comes from another node.",
+            ),
+            DeclareLaunchArgument(
+                "odom", default_value="odom", description="Topic of the odometry."
+            ),
+            DeclareLaunchArgument(
+                "cmd_vel", default_value="cmd_vel", description="Topic of the command."
+            ),
+            DeclareLaunchArgument(
+                "path_topic", default_value="path", description="Topic of the path."
+            ),
+            DeclareLaunchArgument(
+                "tf",
+                default_value="/tf",
+                description="Topic of the transforms; tf is that of the namespace.",
+            ),
+            DeclareLaunchArgument(
+                "node_name", default_value="path_follower", description="Name of the controller."
+            ),
+            DeclareLaunchArgument(
+                "autostart",
+                default_value="true",
+                choices=BOOLEAN,
+                description="Activate the controller at once, not by a lifecycle manager.",
+            ),
+            DeclareLaunchArgument(
+                "movement_time_allowance",
+                default_value=".inf",
+                description="Time without progress [s] after which the robot is told to stop.",
             ),
             DeclareLaunchArgument(
                 "use_sim",
@@ -99,9 +136,17 @@ def generate_launch_description() -> LaunchDescription:
             ),
             Node(
                 executable="controller",
-                name="path_follower",
+                name=LaunchConfiguration("node_name"),
                 ros_arguments=arguments,
-                parameters=[{"use_sim_time": use_sim_time}],
+                parameters=[
+                    {
+                        "use_sim_time": use_sim_time,
+                        "autostart": _boolean("autostart"),
+                        "movement_time_allowance": ParameterValue(
+                            LaunchConfiguration("movement_time_allowance"), value_type=float
+                        ),
+                    }
+                ],
                 **common,
             ),
             Node(
@@ -111,6 +156,7 @@ def generate_launch_description() -> LaunchDescription:
                 parameters=[
                     {"path": ParameterValue(path, value_type=str), "use_sim_time": use_sim_time}
                 ],
+                condition=UnlessCondition(EqualsSubstitution(path, "none")),
                 **common,
             ),
             Node(
@@ -143,3 +189,9 @@ def generate_launch_description() -> LaunchDescription:
             ),
         ]
     )
+
+
+def _boolean(name: str) -> ParameterValue:
+    """Return a launch argument as a parameter that is true or false, however it was spelled."""
+    plain = IfElseSubstitution(LaunchConfiguration(name), if_value="true", else_value="false")
+    return ParameterValue(plain, value_type=bool)

@@ -21,6 +21,8 @@ DOCUMENTED = {
     "namespace",
     "use_sim_time",
     "log_level",
+    *("odom", "cmd_vel", "path_topic", "tf", "node_name", "autostart"),
+    "movement_time_allowance",
 }
 
 
@@ -60,7 +62,8 @@ def test_nodes_keep_the_names_that_parameter_files_use():
         for file in sources
         for name in re.findall(r'^NODE_NAME = "(\w+)"', file.read_text(encoding="utf-8"), re.M)
     }
-    assert {_text(call, "name") for call in _calls("Node")} == own_names
+    names = re.findall(r'^ +name="(\w+)"', LAUNCH_FILE.read_text(encoding="utf-8"), re.M)
+    assert {*names, _text(_declared()["node_name"], "default_value")} == own_names
 
 
 def test_setup_installs_it_and_the_default_parameters():
@@ -111,6 +114,7 @@ def test_launch_loads_it():
             and (entity.condition is None or entity.condition.evaluate(context))
         ]
 
+    assert started(path="none") == ["controller", "sim_unicycle"]
     assert started() == ["controller", "path_publisher", "sim_unicycle"]
     assert started(use_sim="false") == ["controller", "path_publisher"]
     assert started(use_sim="false", record="true") == ["controller", "path_publisher", "recorder"]

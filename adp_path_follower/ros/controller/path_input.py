@@ -42,7 +42,7 @@ class PathInput:
         self._last_sent = 0  # when the last message was published [ns]
         self._fitted = node.create_guard_condition(self._take)
         self._intake = PathIntake(self._wake, fit)
-        # What latched publishers said before, and those that latch nothing.
+        # One for the last path of latched publishers, one for those that latch nothing.
         self._subscriptions: list[Any] = [
             node.create_subscription(PathMessage, "path", self._receive, qos, raw=True)
             for qos in (LATCHED, EVERY_STEP)

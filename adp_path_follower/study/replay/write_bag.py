@@ -31,7 +31,7 @@ _KINDS = {
     "/path_follower/cost": "std_msgs/msg/Float64",
     "/path_follower/configuration": "std_msgs/msg/String",
 }
-# Of the recorded run, as they are.
+# Topics of the recorded run that stay as they are.
 _COPIED = ("odom", "path", "goal_path", "ground_truth", "initial_weights")
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
