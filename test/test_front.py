@@ -106,9 +106,30 @@ def test_results_say_in_one_line_what_was_found(tmp_path):
     ratio = simulate_lqr_ratio = compared.outcomes[0].quantile(0.5)
     assert repr(compared) == f"Comparison(circle:1.0, 1 starts, median J/J*: lqr {ratio:.4f})"
     assert simulate_lqr_ratio > 1.0
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    assert compared.plot(axes) is axes
+    assert axes.lines[0].get_xdata() == pytest.approx([ratio - 1.0])
     assert "cross-track RMS 20.00 mm" in repr(run)
     assert repr(simulated).startswith(f"SimulationResult(1 run: J {simulated.cost[0]:.6g} ")
     assert all("\n" not in repr(item) for item in (optimum, compared, run, simulated))
+
+
+def test_results_plot_their_numbers_on_axes_that_are_given_or_new(tmp_path):
+    from matplotlib import pyplot as plt
+
+    plt.switch_backend("Agg")
+    simulated = adp.simulate("line", starts=[START, (0.0, -0.1, 0.0)], duration=1.0, record=True)
+    axes = plt.figure().subplots()
+    assert simulated.plot(axes, run=1) is axes
+    assert [line.get_label() for line in axes.lines] == ["s [m]", "y [m]", "θ [rad]"]
+    np.testing.assert_array_equal(axes.lines[1].get_ydata(), simulated.trajectories.error[1, :, 1])
+    run = adp.analyze(write_bag(tmp_path / "bag", drive_on_line(lambda time: 0.02)))
+    assert np.allclose(run.plot().lines[1].get_ydata(), 0.02)
+    plt.close("all")
+    with pytest.raises(AdpError, match="record=True"):
+        adp.simulate("line", starts=START, duration=0.1).plot()
 
 
 @pytest.mark.smoke

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from adp_path_follower.core.path.library import is_path_file, named_points
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import flatten, yaml_text
 from adp_path_follower.drawing.charts import Charts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _SPACING = 0.05  # [m] of the points of a path without any
 NOT_MEASURED = "not measured"
@@ -67,6 +71,12 @@ class BagAnalysis:
             f"cross-track RMS {1e3 * metrics['cross_track_rms']:.2f} mm, J {metrics['cost']:.6g}, "
             f"{len(self.events)} events)"
         )
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Plot where the robot drove, on given axes or new ones; return them."""
+        from adp_path_follower.drawing.result_plots import draw_track, plotted
+
+        return plotted(lambda place: draw_track(place, self.charts.track), axes)
 
     @property
     def numbers(self) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ from adp_path_follower.cli.outputs import new_directory, write_json
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.paper.reproduce import Reproduction
 
+log = logging.getLogger(__name__)
+
 
 @click.command()
 @out_option("paper", "figures and numbers")
@@ -24,12 +27,13 @@ def paper(directory: FilePath) -> None:
 
     Simulates the paper's run with its printed laws and constants and each width of the sample
     grid, which the paper leaves open; finds the offline optimum; draws the paper's figures 2 to 5
-    with the optimum's collocation points as circles, the same laws for ten minutes, and the
+    with the optimum as circles, the same laws for ten minutes, and the
     quantities of its stability theorem. Needs no ROS; takes about a minute.
     """
     from adp_path_follower.study.paper.reproduce import reproduce
 
     new_directory(directory)
+    log.info("simulating the paper's run, ten minutes of it, and 26 optima: a minute or more")
     with progress_bar("simulating and optimising") as progress:
         found = reproduce(progress)
     from adp_path_follower.study.paper.reproduce import draw_paper

@@ -4,6 +4,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from adp_path_follower.study.optimum.problem import OptimumError
 from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LONGEST_LAP = 300.0  # [s] of a lap, or of an open path
 
@@ -103,6 +107,13 @@ class Comparison:
         """Return the median J/J* of each controller in one line."""
         ratios = ", ".join(f"{item.name} {item.quantile(0.5):.4f}" for item in self.outcomes)
         return f"Comparison({self.path_name}, {len(self.starts)} starts, median J/J*: {ratios})"
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Plot the loss J/J* - 1 of each start, on given axes or new ones; return them."""
+        from adp_path_follower.drawing.result_plots import plotted
+        from adp_path_follower.study.comparison.figures import draw_cost
+
+        return plotted(lambda place: draw_cost(place, self), axes)
 
 
 def compare(

@@ -33,10 +33,14 @@ def _color(name: str) -> str:
 
 
 def _cost(found: Comparison) -> Figure:
+    figure = Figure(figsize=(8.5, 0.45 * len(found.outcomes) + 1.6))
+    draw_cost(figure.subplots(), found)
+    return figure
+
+
+def draw_cost(axes: Axes, found: Comparison) -> None:
     """Draw each start's loss J/J* - 1, the controllers in the order of their medians."""
     ranked = sorted(found.outcomes, key=lambda outcome: -outcome.quantile(0.5))
-    figure = Figure(figsize=(8.5, 0.45 * len(ranked) + 1.6))
-    axes: Axes = figure.subplots()
     random = np.random.default_rng(0)  # of the jitter, so that the same numbers look the same
     for row, outcome in enumerate(ranked):
         loss = np.maximum(outcome.cost_ratio[np.isfinite(outcome.cost_ratio)] - 1.0, _LEAST_LOSS)
@@ -60,7 +64,6 @@ def _cost(found: Comparison) -> Figure:
     axes.set_title(
         f"Cost beside the offline optimum, {len(found.starts)} starts, {found.path_name}"
     )
-    return figure
 
 
 def _logarithmic(axes: Axes, x: bool = False, y: bool = False) -> None:

@@ -5,7 +5,7 @@ the printed constants meet the conditions of the paper's own stability theorem?
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -44,6 +44,7 @@ GRIDS: tuple[tuple[float, float, float, float], ...] = (
 
 _RATE = 100.0  # [Hz]
 _LONG_RATE = 50.0  # [Hz]
+_CIRCLE_PERIOD = 0.5  # [s] between two circles of the optimum, so that curves show
 _VISITED = np.concatenate([np.arange(0.0, 4.0, 0.25), np.arange(4.0, 12.5, 1.0)])  # [s]
 
 
@@ -107,7 +108,7 @@ def reproduce(
         if learning == "cold":
             long = _run(name, settings, path, learning, long_duration, _LONG_RATE, optimum)
             long_runs.append(long)
-        progress((index + 1) / (len(choices) + 1))
+        progress(0.5 * (index + 1) / len(choices))
     shipped = next(run for run in runs[1:] if run.settings == printed)
     return Reproduction(
         path=path,
@@ -115,7 +116,7 @@ def reproduce(
         runs=tuple(runs),
         shipped=shipped,
         long_runs=tuple(long_runs),
-        theorem=_theorem(shipped, path),
+        theorem=_theorem(shipped, path, lambda part: progress(0.5 + 0.5 * part)),
     )
 
 
@@ -161,7 +162,7 @@ def _run(
     )
 
 
-def _theorem(run: PaperRun, path: Path) -> Theorem:
+def _theorem(run: PaperRun, path: Path, progress: Callable[[float], None]) -> Theorem:
     """Evaluate the theorem along a run; the optimum from a state has the value and its gradient."""
     settings, found = run.settings, run.trajectories
     target, learning = settings.target, settings.learning
@@ -176,6 +177,7 @@ def _theorem(run: PaperRun, path: Path) -> Theorem:
         phi = error_dynamics.path_state(np.array(place), target)
         by_phi = extremal.costates[3] / (target.path_state_gain * (1.0 - phi**2))
         gradient.append(np.append(extremal.costates[:3], by_phi))
+        progress(len(value) / len(steps))
     arc_length = found.arc_length[0, steps]
     phi = error_dynamics.path_state(arc_length, target)
     zeta = np.column_stack([found.error[0, steps], phi])
@@ -214,7 +216,7 @@ def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
     """Draw figures 2 to 5 of the shipped grid, the long run and the theorem; return the files."""
     labels = found.shipped.settings.learning.value_basis.labels
     view = view_of_simulation(found.shipped.trajectories, 0, found.path, labels)
-    files = draw_figures(view, directory, found.optimum)
+    files = draw_figures(view, directory, _thinned(found.optimum))
     drawings = {
         "long_run.png": lambda: _long_run(found.long_runs, labels),
         "excitation.png": lambda: _excitation(found.theorem),
@@ -222,6 +224,20 @@ def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
         "lyapunov.png": lambda: _lyapunov(found.theorem),
     }
     return files + save_figures(drawings, directory)
+
+
+def _thinned(optimum: ReferenceMotion) -> ReferenceMotion:
+    """Return the collocation points that follow one another by a period or more."""
+    every = np.arange(0.0, optimum.time[-1], _CIRCLE_PERIOD)
+    kept = np.unique(np.searchsorted(optimum.time, every))
+    assert optimum.position is not None  # `_reference` gives it
+    return replace(
+        optimum,
+        time=optimum.time[kept],
+        error=optimum.error[kept],
+        modified_input=optimum.modified_input[kept],
+        position=optimum.position[kept],
+    )
 
 
 def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...]) -> Figure:

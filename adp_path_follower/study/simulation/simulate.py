@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,9 @@ from adp_path_follower.study.simulation.trajectories import (
 from sim_unicycle.fault_script import FaultScript, read_fault_script
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 PAPER_START = (-0.5, 0.25, -math.pi / 6.0)
 LEARNING_MODES = ("cold", "warm", "frozen")
@@ -94,6 +97,18 @@ class SimulationResult:
             f"SimulationResult({runs}: {cost} (median), {len(settled)} settled"
             f"{after}, {int(self.failed.sum())} failed)"
         )
+
+    def plot(self, axes: "Axes | None" = None, *, run: int = 0) -> "Axes":
+        """Plot the errors of one run over time, on given axes or new ones; return them.
+
+        Raises AdpError if the trajectories were not recorded.
+        """
+        from adp_path_follower.drawing.result_plots import draw_errors, plotted
+
+        found = self.trajectories
+        if found is None:
+            raise AdpError("no trajectories to plot: simulate with record=True")
+        return plotted(lambda place: draw_errors(place, found.time, found.error[run]), axes)
 
 
 def read_starts(file: FilePath = FORTY_STARTS) -> FloatArray:
