@@ -77,6 +77,7 @@ setup(
             "mcap-ros2-support>=0.5",
             "playwright>=1.40",
         ],
+        "robots": ["mujoco>=3.2,<5"],  # for bench/robots
         "lint": ["ruff==0.17.6", "mypy==2.4.1", "types-PyYAML"],
     },
     entry_points={

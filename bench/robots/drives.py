@@ -64,7 +64,7 @@ def ours(settings: Settings, path: Path, log: Callable[..., object] | None = Non
     return control
 
 
-def peer(factory, settings: Settings, path: Path, rate: float = 100.0) -> Control:
+def peer(factory, settings: Settings, path: Path, rate: float = 50.0) -> Control:
     """Return a peer of the comparison."""
     made: list = []
     last = [-1.0, np.zeros(2)]

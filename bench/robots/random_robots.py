@@ -1,7 +1,7 @@
 """Compare the default controller, the one that learns its robot, and tuned peers on random robots.
 
     python bench/robots/random_robots.py [--robots 200] [--first 0]
-        [--contenders default,learned,known,peers] [--cache FILE]
+        [--plant analytic|mujoco] [--contenders default,learned,known,peers] [--cache FILE]
 
 J is taken along the true motion; distances are those of the true pose after 8 s. "Best" means at
 least as good as every variant of every peer on that robot, so each peer is tuned for each robot.
@@ -18,7 +18,7 @@ from pathlib import Path as FilePath
 import numpy as np
 from drives import Outcome, drive, ours, peer, start_pose
 from paths import PATHS
-from plants import AnalyticPlant
+from plants import AnalyticPlant, Plant
 from robots import random_robot
 
 from adp_path_follower.core.path.curve import Path
@@ -44,29 +44,39 @@ PEERS: dict[str, Factory] = {
     "LQR": Lqr,
 }
 _SPEEDS = (0.3, 0.5, 0.7, 1.0)
-_LONGEST = 28.0  # [s]
+_LONGEST = 20.0  # [s]
 
 
 class Case:
     """A robot, a path, a speed and a start, drawn by a seed."""
 
-    def __init__(self, seed: int) -> None:
-        """Draw them."""
+    def __init__(self, seed: int, plant: str = "analytic") -> None:
+        """Draw them, for a plant."""
+        self._plant = plant
         rng = np.random.default_rng([seed, 3])
         self.robot = random_robot(seed)
         self.path_name = tuple(PATHS)[seed % len(PATHS)]
         self.path: Path = PATHS[self.path_name]()
         self.speed = float(rng.choice(_SPEEDS))
-        self._start = rng.uniform([0.0, -0.3, -0.4], [0.0, 0.3, 0.4])
+        self._start = rng.uniform([0.0, -0.1, -0.2], [0.0, 0.1, 0.2])
 
     def settings(self, **values: object) -> Settings:
         """Return the settings of the drive, with some changed."""
         fastest = max(1.0, 1.3 * self.speed)
         return build(Settings, {"desired_speed": self.speed, "max_linear_vel": fastest, **values})
 
+    def plant(self) -> Plant:
+        """Return the robot at its start."""
+        pose = start_pose(self.path, tuple(self._start))
+        if self._plant == "mujoco":
+            from mujoco_plant import MujocoPlant
+
+            return MujocoPlant(self.robot, pose)
+        return AnalyticPlant(self.robot, pose)
+
     def outcome(self, name: str) -> Outcome:
         """Return the outcome of a contender."""
-        plant = AnalyticPlant(self.robot, start_pose(self.path, tuple(self._start)))
+        plant = self.plant()
         settings = self.settings(**self._values(name))
         control = (
             peer(PEERS[name], settings, self.path) if name in PEERS else ours(settings, self.path)
@@ -75,13 +85,14 @@ class Case:
 
     def _values(self, name: str) -> Mapping[str, object]:
         robot, (gain, turn_gain, bias) = self.robot, self.robot.gains
+        servo = 0.01 if self._plant == "mujoco" else 0.0  # [s] that its motors take
         return {
             "default": {"robot_model": "ideal"},
             "learned": {"robot_model": "learned"},
             "known": {
                 "robot_model": "given",
                 "actuation_delay": robot.delay,
-                "robot_lags": (robot.lag, robot.lag),
+                "robot_lags": (robot.lag + servo, robot.lag + servo),
                 "robot_ramp": robot.ramp,
                 "robot_gains": (gain, turn_gain),
                 "robot_bias": bias,
@@ -132,6 +143,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--plant", choices=("analytic", "mujoco"), default="analytic")
     parser.add_argument("--contenders", default="default,learned,known,peers")
     parser.add_argument("--cache", type=FilePath, default=None)
     options = parser.parse_args()
@@ -143,7 +155,7 @@ def main() -> None:
         found = json.loads(options.cache.read_text())
     for seed in range(options.first, options.first + options.robots):
         row = found.setdefault(str(seed), {})
-        case = Case(seed)
+        case = Case(seed, options.plant)
         for name in names:
             if name not in row:
                 outcome = case.outcome(name)
