@@ -1,10 +1,9 @@
 """Commands for which the robot moves as an ideal unicycle would.
 
-    v_c = v_a + (v_h - v_a) / (1 - exp(-h / lag))
-
-acts from now + delay on, and within a horizon h brings the wheels from v_a to the wanted v_h. With
-h far below the lag it inverts the lag with every error of the estimate; far above, it waits for the
-lag. The controller is asked for the pose at now + delay + h.
+With commands v_c = v + (V - v) lag / tau the wheels follow the wanted V by a lag tau of our choice.
+Then x + tau x', y + tau y', theta + tau theta' move as an ideal unicycle that is told V and W: the
+controller is asked for that pose, at now + delay + tau. A tau below the lag inverts the lag with
+every error of the estimate; tau = lag waits for it.
 """
 
 import math
@@ -12,37 +11,42 @@ import math
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.robot.model import RobotModel
+from adp_path_follower.core.robot.model import RobotModel, RobotState, advanced
 
-_SHARE = 0.5  # of the lag
-_SHORTEST = 0.03  # [s]
+_SHARE = 0.25  # of the lag
+_SHORTEST = 0.04  # [s]
 _NO_LAG = 0.004  # [s]
-_PER_NOISE = 0.0
 
 
-def horizon(model: RobotModel, noise: float) -> float:
-    """Return h [s], longer with the noise [rad/s] of the turn rate that the controller asks for."""
+def lag_left(model: RobotModel) -> float:
+    """Return tau [s]."""
     lag = max(model.linear_lag, model.angular_lag)
-    if lag <= _NO_LAG:
-        return 0.0
-    return max(_SHORTEST, _SHARE * lag, min(lag, _PER_NOISE * noise))
+    return max(min(_SHORTEST, lag), _SHARE * lag) if lag > _NO_LAG else 0.0
+
+
+def ideal_state(model: RobotModel, acting: RobotState, lag: float) -> RobotState:
+    """Return the pose that moves as an ideal unicycle, with a lag tau [s] of the wheels."""
+    if lag <= 0.0:
+        return acting
+    return advanced(model, acting, [(acting.v, acting.w, lag)])
 
 
 def compensated(
-    model: RobotModel, acting: tuple[float, float], wanted: FloatArray, ahead: float
+    model: RobotModel, acting: RobotState, wanted: FloatArray, lag: float, period: float
 ) -> FloatArray:
-    """Return the command (2,) from the wheels' v_a, w_a to a wanted motion V, W (2,) in h [s]."""
+    """Return the command (2,) for a wanted motion V, W (2,), which is held for a period [s]."""
     v, w = model.wheels(*wanted.tolist())
+    if lag <= 0.0:
+        return np.array([v, w])
+    share = -math.expm1(-period / lag)
     return np.array(
         [
-            _inverted(acting[0], v, ahead, model.linear_lag),
-            _inverted(acting[1], w, ahead, model.angular_lag),
+            acting.v + share * (v - acting.v) / _answer(period, model.linear_lag),
+            acting.w + share * (w - acting.w) / _answer(period, model.angular_lag),
         ]
     )
 
 
-def _inverted(now: float, wanted: float, ahead: float, lag: float) -> float:
-    """Return the command that brings a wheel velocity to the wanted one within a time [s]."""
-    if lag <= _NO_LAG or ahead <= 0.0:
-        return wanted
-    return now + (wanted - now) / -math.expm1(-ahead / lag)
+def _answer(period: float, lag: float) -> float:
+    """Return which share of a change of its command a wheel makes in a period [s]."""
+    return -math.expm1(-period / lag) if lag > 0.0 else 1.0

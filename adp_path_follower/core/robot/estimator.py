@@ -15,10 +15,16 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.robot.history import CommandHistory
 from adp_path_follower.core.robot.model import RobotModel, RobotState, advanced
 
+_SHORTEST = 1e-4  # [s] between two messages; less is the rounding of one stamp
 _LONGEST = 1.0  # [s] between two messages of one robot that was observed all the time
 _POSE, _TWIST, _GAINS = slice(0, 3), slice(3, 5), slice(5, 8)
 # Variances per second of what the model does not know: slip, uneven floor, torque.
 _DISTURBANCE = np.array([0.002, 0.002, 0.003, 0.015, 0.03, 2e-4, 4e-4, 4e-4]) ** 2
+# Shares of these variances in the filters of the bank, from the distrustful to the trustful one.
+_TRUSTS = np.array([1.0, 0.1, 0.01])
+_COUNT = len(_TRUSTS)
+_MEMORY = 8.0  # [s] of messages in the evidence
+_LOST, _ANEW = -7.0, -2.0  # logarithms of a weight at which a filter begins anew, and with which
 _UNSURE = 0.3  # share of a change of velocity that the model may miss
 _TURNED = 1.0  # [1/m] turn rate that comes with a change of velocity, as wheels differ
 _START = np.array([0.02, 0.02, 0.03, 0.05, 0.05]) ** 2
@@ -27,31 +33,49 @@ _LEAST_GAINS, _MOST_GAINS = np.array([0.88, 0.8, -0.15]), np.array([1.12, 1.25, 
 _FLOOR = np.array([1e-4, 1e-4, 2e-4, 2e-3, 4e-3]) ** 2  # of the noise of a message
 _NOISE = np.array([0.005, 0.005, 0.01, 0.01, 0.02]) ** 2  # at the start
 _MOST_NOISE = np.array([0.05, 0.1]) ** 2  # of v and w
-_ADAPTATION = 0.04  # share of one message in the noise
+_ADAPTATION = 0.04  # share of one message in the noise, ...
+_EARLY = 0.2  # of the first one
 _JUMP = 9.0  # squared distance of a wheel's velocity that the model has missed
 _GATE = 40.0  # squared distance of a pose, in standard deviations, that is an outlier
 _OUTLIERS = 5  # in a row, after which it is believed
 
 
 class StateEstimator:
-    """Knows state, gains and bias at the stamp of the last odometry."""
+    """Knows state, gains and bias at the stamp of the last odometry.
+
+    It is a bank of filters that trust the model to different degrees. What each expected of the
+    latest messages gives it its weight, and the weighted mean is the estimate.
+    """
 
     def __init__(self, model: RobotModel, learns: bool) -> None:
         """Begin with the gains of a model, which stay if it does not learn."""
         self.stamp: float | None = None  # of the last message [s]
         self.frozen = False  # gains and bias
-        self.noise: FloatArray = _NOISE.copy()  # variances of x, y, theta, v, w in a message
         self._learns = learns
-        self._found = self.noise.copy()
-        self._mean = np.zeros(8)
-        self._mean[_GAINS] = model.linear_gain, model.angular_gain, model.bias
-        self._covariance = np.zeros((8, 8))
+        self.noise: FloatArray = _NOISE.copy()  # variances of x, y, theta, v, w in a message
+        self._means = np.zeros((_COUNT, 8))
+        self._means[:, _GAINS] = model.linear_gain, model.angular_gain, model.bias
+        self._covariances = np.zeros((_COUNT, 8, 8))
         if learns:
-            self._covariance[_GAINS, _GAINS] = np.diag(_GAINS_START)
-        self._outliers = 0
+            self._covariances[:, _GAINS, _GAINS] = np.diag(_GAINS_START)
+        self._evidence = np.zeros(_COUNT)  # logarithms of the weights
+        self._outliers, self._share = 0, _EARLY
+        self._mix()
         # The effect of a change of v or w halfway between two messages until the second.
-        self._pushes = np.zeros((8, 2))
-        self._pushes[3, 0] = self._pushes[4, 1] = 1.0
+        self._pushes = np.zeros((_COUNT, 8, 2))
+        self._pushes[:, 3, 0] = self._pushes[:, 4, 1] = 1.0
+
+    def _mix(self) -> None:
+        """Weigh the filters, and set those that are out of the question on the weighted mean."""
+        self._evidence -= self._evidence.max()
+        self._weights: FloatArray = np.exp(self._evidence)
+        self._weights /= self._weights.sum()
+        self._mean: FloatArray = self._weights @ self._means
+        self._mean[_GAINS] = np.clip(self._mean[_GAINS], _LEAST_GAINS, _MOST_GAINS)
+        self._covariance: FloatArray = np.tensordot(self._weights, self._covariances, 1)
+        lost = self._evidence < _LOST
+        self._evidence[lost] = _ANEW
+        self._means[lost], self._covariances[lost] = self._mean, self._covariance
 
     @property
     def state(self) -> RobotState:
@@ -60,8 +84,7 @@ class StateEstimator:
 
     def with_gains(self, model: RobotModel) -> RobotModel:
         """Return a model with the present gains and bias."""
-        gain, turn_gain, bias = self._mean[_GAINS].tolist()
-        return replace(model, linear_gain=gain, angular_gain=turn_gain, bias=bias)
+        return _with_gains(model, self._mean)
 
     @property
     def deviations(self) -> FloatArray:
@@ -86,7 +109,7 @@ class StateEstimator:
         model gives delay, lags and ramp, the history the commands that were sent until then.
         """
         elapsed = _LONGEST if self.stamp is None else stamp - self.stamp
-        if elapsed <= 0.0:
+        if elapsed < _SHORTEST:
             return False
         measured = np.array([*pose, *twist])
         if elapsed >= _LONGEST:
@@ -94,87 +117,116 @@ class StateEstimator:
             return True
         assert self.stamp is not None  # else it has just started
         late = self.stamp - model.delay
-        self._predict(self.with_gains(model), history.held(late, late + elapsed), elapsed)
+        self._predict(model, history.held(late, late + elapsed), elapsed)
         self.stamp = stamp
-        self._correct(measured)
+        self._correct(measured, elapsed)
+        self._mix()
         return True
 
     def _start(self, stamp: float, measured: FloatArray) -> None:
         self.stamp, self._outliers = stamp, 0
-        self._mean[:5] = measured
-        self._covariance[:5, :] = self._covariance[:, :5] = 0.0
-        self._covariance[range(5), range(5)] = np.maximum(_START, self.noise)
+        self._means[:, :5] = measured
+        self._covariances[:, :5, :] = self._covariances[:, :, :5] = 0.0
+        self._covariances[:, range(5), range(5)] = np.maximum(_START, self.noise)
+        self._mix()
 
     def _predict(
         self, model: RobotModel, commands: list[tuple[float, float, float]], elapsed: float
     ) -> None:
-        """Move on by an elapsed time [s], and with it the covariance."""
-        before = self.state
-        after = advanced(model, before, commands)
-        slopes = np.eye(8)
-        gain, turn_gain, bias = model.linear_gain, model.angular_gain, model.bias
+        """Move on by an elapsed time [s], and with it the covariances."""
+        before = self._means[:, :5].copy()
+        for mean in self._means:
+            after = advanced(_with_gains(model, mean), RobotState(*mean[:5].tolist()), commands)
+            mean[:5] = after.x, after.y, after.theta, after.v, after.w
+        dx, dy, turn, faster, turning = (self._means[:, :5] - before).T
+        gain, turn_gain, bias = self._means[:, _GAINS].T
         v_left, v_reach = _faded(elapsed, model.linear_lag)
         w_left, w_reach = _faded(elapsed, model.angular_lag)
-        dx, dy, turn = after.x - before.x, after.y - before.y, after.theta - before.theta
-        middle = before.theta + 0.5 * turn
-        along = math.cos(middle), math.sin(middle)
-        driven = (dx * along[0] + dy * along[1]) / gain
+        middle = before[:, 2] + 0.5 * turn
+        by_distance = np.stack([np.cos(middle), np.sin(middle), np.zeros(_COUNT)])
+        driven = (dx * by_distance[0] + dy * by_distance[1]) / gain
         turned = (turn - bias * driven) / turn_gain
-        by_turn = np.array([-0.5 * dy, 0.5 * dx, 1.0])
-        by_distance = np.array([*along, 0.0])
-        slopes[_POSE, 2] += (-dy, dx, 0.0)
-        slopes[_POSE, 3] = v_reach * (gain * by_distance + bias * by_turn)
-        slopes[_POSE, 4] = w_reach * turn_gain * by_turn
-        slopes[_POSE, 5] = driven * by_distance
-        slopes[_POSE, 6] = turned * by_turn
-        slopes[_POSE, 7] = driven * by_turn
-        slopes[3, 3], slopes[4, 4] = v_left, w_left
-        spread = _DISTURBANCE * elapsed
-        faster, turning = after.v - before.v, after.w - before.w
-        self._pushes[_POSE, 0] = 0.5 * elapsed * (gain * by_distance + bias * by_turn)
-        self._pushes[_POSE, 1] = 0.5 * elapsed * turn_gain * by_turn
-        missed = (_UNSURE * faster) ** 2, (_UNSURE * turning) ** 2 + (_TURNED * faster) ** 2
+        by_turn = np.stack([-0.5 * dy, 0.5 * dx, np.ones(_COUNT)])
+        forwards = gain * by_distance + bias * by_turn
+        slopes = np.tile(np.eye(8), (_COUNT, 1, 1))
+        slopes[:, 0, 2] -= dy
+        slopes[:, 1, 2] += dx
+        slopes[:, _POSE, 3] = (v_reach * forwards).T
+        slopes[:, _POSE, 4] = (w_reach * turn_gain * by_turn).T
+        slopes[:, _POSE, 5] = (driven * by_distance).T
+        slopes[:, _POSE, 6] = (turned * by_turn).T
+        slopes[:, _POSE, 7] = (driven * by_turn).T
+        slopes[:, 3, 3], slopes[:, 4, 4] = v_left, w_left
+        self._pushes[:, _POSE, 0] = 0.5 * elapsed * forwards.T
+        self._pushes[:, _POSE, 1] = (0.5 * elapsed * turn_gain * by_turn).T
+        missed = _TRUSTS[:, None] * np.stack(
+            [(_UNSURE * faster) ** 2, (_UNSURE * turning) ** 2 + (_TURNED * faster) ** 2], axis=1
+        )
+        spread = np.tile(_DISTURBANCE * elapsed, (_COUNT, 1))
+        spread[:, :5] *= _TRUSTS[:, None]
         if self.frozen or not self._learns:
-            spread[_GAINS] = 0.0
-        self._covariance = slopes @ self._covariance @ slopes.T
-        self._covariance += (self._pushes * missed) @ self._pushes.T
-        self._covariance[range(8), range(8)] += spread
-        self._mean[:5] = after.x, after.y, after.theta, after.v, after.w
+            spread[:, _GAINS] = 0.0
+        self._covariances = slopes @ self._covariances @ slopes.swapaxes(1, 2)
+        self._push(missed)
+        self._covariances[:, range(8), range(8)] += spread
 
-    def _correct(self, measured: FloatArray) -> None:
+    def _push(self, sizes: FloatArray) -> None:
+        """Add what changes of v and w of these variances (N, 2) do to the state."""
+        self._covariances += (self._pushes * sizes[:, None]) @ self._pushes.swapaxes(1, 2)
+
+    def _correct(self, measured: FloatArray, elapsed: float) -> None:
         """Correct the state by a message, and learn its noise from what remains."""
-        surprise = measured - self._mean[:5]
-        surprise[2] = math.remainder(surprise[2], math.tau)
+        surprise = measured - self._means[:, :5]
+        surprise[:, 2] = np.remainder(surprise[:, 2] + math.pi, math.tau) - math.pi
         # Wheels that are not where the model has them have been accelerated otherwise.
-        unlike = surprise[_TWIST] ** 2
-        likely = self._covariance[(3, 4), (3, 4)] + self.noise[_TWIST]
+        unlike = surprise[:, _TWIST] ** 2
+        likely = self._covariances[:, (3, 4), (3, 4)] + self.noise[_TWIST]
         jumps = np.where(unlike > _JUMP * likely, unlike, 0.0)
         if jumps.any():
-            self._covariance += (self._pushes * jumps) @ self._pushes.T
-        expected = self._covariance[:5, :5] + np.diag(self.noise)
-        gain = np.linalg.solve(expected, self._covariance[:5, :]).T
-        pose = surprise[_POSE]
-        distance = float(pose @ np.linalg.solve(expected[_POSE, _POSE], pose))
-        outlier = distance > _GATE
+            self._push(jumps)
+        expected = self._covariances[:, :5, :5].copy()
+        expected[:, range(5), range(5)] += self.noise
+        gain = np.linalg.solve(expected, self._covariances[:, :5, :]).swapaxes(1, 2)
+        pose = surprise[:, _POSE, None]
+        distance = (pose * np.linalg.solve(expected[:, _POSE, _POSE], pose)).sum(axis=(1, 2))
+        outlier = bool(distance.min() > _GATE)
         self._outliers = self._outliers + 1 if outlier else 0
         if self._outliers > _OUTLIERS:
             self._start(self.stamp or 0.0, measured)
             return
         if outlier:
             return
-        if self.frozen or not self._learns or jumps.any():
-            gain[_GAINS] = 0.0
-        self._mean += gain @ surprise
-        self._mean[_GAINS] = np.clip(self._mean[_GAINS], _LEAST_GAINS, _MOST_GAINS)
-        keeps = np.eye(8)
-        keeps[:, :5] -= gain
-        self._covariance = keeps @ self._covariance @ keeps.T + (gain * self.noise) @ gain.T
-        # The deviation of a message, less that of the state.
-        found = surprise * surprise - (expected.diagonal() - self.noise)
-        found[3:] = np.where(jumps > 0.0, self.noise[3:], np.minimum(found[3:], _MOST_NOISE))
-        found[:2] = 0.5 * (found[0] + found[1])
-        self._found += _ADAPTATION * (found - self._found)
-        self.noise = self._found = np.maximum(self._found, _FLOOR)
+        far = surprise[:, :, None]
+        distance = (far * np.linalg.solve(expected, far)).sum(axis=(1, 2))
+        likelihood = -0.5 * (distance + np.linalg.slogdet(expected)[1])
+        if self._share <= _ADAPTATION:  # the noise is known
+            likelihood -= 0.5 * _JUMP * (jumps > 0.0).sum(axis=1)
+            self._evidence += likelihood - elapsed / _MEMORY * self._evidence
+        if self.frozen or not self._learns:
+            gain[:, _GAINS] = 0.0
+        gain[jumps.any(axis=1), _GAINS] = 0.0
+        self._means += (gain @ far)[:, :, 0]
+        self._means[:, _GAINS] = np.clip(self._means[:, _GAINS], _LEAST_GAINS, _MOST_GAINS)
+        keeps = np.tile(np.eye(8), (_COUNT, 1, 1))
+        keeps[:, :, :5] -= gain
+        self._covariances = keeps @ self._covariances @ keeps.swapaxes(1, 2)
+        self._covariances += (gain * self.noise) @ gain.swapaxes(1, 2)
+        self._learn_noise(surprise - (gain[:, :5] @ far)[:, :, 0], jumps)
+
+    def _learn_noise(self, left: FloatArray, jumps: FloatArray) -> None:
+        """Learn the noise of a message from what is left of surprises (N, 5) after correction."""
+        found = self._weights @ (left * left + self._covariances[:, range(5), range(5)])
+        found[3:] = np.minimum(found[3:], _MOST_NOISE)
+        found[3:] = np.where((jumps > 0.0).any(axis=0), self.noise[3:], found[3:])
+        found[:2] = found[:2].mean()
+        self._share = max(_ADAPTATION, self._share / (1.0 + self._share))
+        self.noise = np.maximum(self.noise + self._share * (found - self.noise), _FLOOR)
+
+
+def _with_gains(model: RobotModel, mean: FloatArray) -> RobotModel:
+    """Return a model with the gains and the bias of an estimate (8,)."""
+    gain, turn_gain, bias = mean[_GAINS].tolist()
+    return replace(model, linear_gain=gain, angular_gain=turn_gain, bias=bias)
 
 
 def _faded(elapsed: float, lag: float) -> tuple[float, float]:

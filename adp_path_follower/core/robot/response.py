@@ -15,10 +15,15 @@ from adp_path_follower.core.robot.model import RobotModel
 
 _DELAYS = np.arange(0.0, 0.42, 0.02)  # [s]
 _LAGS = np.array([0.0, 0.025, 0.05, 0.08, 0.115, 0.155, 0.2, 0.25, 0.31, 0.38, 0.46])  # [s]
-_RAMPS = np.array([math.inf, 5.0, 3.5, 2.5, 1.8, 1.2, 0.8, 0.5])  # [m/s^2]
+# One over a ramp [s^2/m]: the launch is most of the evidence, and lasts by this.
+_SLOWNESS = np.array(
+    [0, 0.12, 0.19, 0.25, 0.31, 0.37, 0.43, 0.5, 0.58, 0.66, 0.75, 0.86, 1, 1.2, 1.5, 2]
+)
+_RAMPS = np.concatenate([[math.inf], 1.0 / _SLOWNESS[1:]])  # [m/s^2]
 _FINEST, _COARSEST = 0.004, 0.01  # [s] between two states of the members
 _KEPT = 256  # states
 _NOISE = np.array([0.012, 0.025])  # [m/s, rad/s] of encoders and model, at least
+_SHORTEST = 1e-4  # [s] between two messages; less is the rounding of one stamp
 _SPACING = 0.1  # [s] between messages that are independent
 _TRANSIENT = 0.1  # [m/s] from the commanded velocity, ...
 _CALM = 0.3  # [s] after which it is over
@@ -105,7 +110,7 @@ class ResponseBank:
         elapsed, self._stamp = stamp - self._stamp, stamp
         times = self._times[: self._stored]
         asked = stamp - _DELAYS
-        if self._stored < 2 or elapsed <= 0.0 or asked[0] > times[-1] + 0.05:
+        if self._stored < 2 or elapsed < _SHORTEST or asked[0] > times[-1] + 0.05:
             return
         after = np.clip(np.searchsorted(times, asked), 1, self._stored - 1)
         before = after - 1
@@ -171,7 +176,7 @@ class ResponseBank:
         lag_v, lag_v_spread = _moments(joint.sum(axis=(0, 2)), _LAGS)
         lag_w, lag_w_spread = _moments(joint.sum(axis=(0, 1)), _LAGS)
         weights = joint.sum(axis=2)[:, :, None] * (p_v / np.maximum(lags_v, 1e-300)[:, :, None])
-        slowness, _ = _moments(weights.sum(axis=(0, 1)), 1.0 / _RAMPS)
+        slowness, _ = _moments(weights.sum(axis=(0, 1)), _SLOWNESS)
         ramp = 1.0 / slowness if slowness > 0.1 else math.inf
         spreads = (delay_spread, lag_v_spread, lag_w_spread)
         return Response(delay, lag_v, lag_w, ramp, spreads)

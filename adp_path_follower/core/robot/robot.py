@@ -8,7 +8,7 @@ import numpy as np
 
 from adp_path_follower.core.control.actuation import limited_command
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.robot.compensation import compensated, horizon
+from adp_path_follower.core.robot.compensation import compensated, ideal_state, lag_left
 from adp_path_follower.core.robot.estimator import StateEstimator
 from adp_path_follower.core.robot.history import CommandHistory
 from adp_path_follower.core.robot.model import RobotModel, RobotState, advanced
@@ -164,11 +164,8 @@ class Robot:
         assert known is not None  # it has just taken in a message
         history = self._history
         acting = advanced(model, self._estimator.state, history.held(known - model.delay, now))
-        self._acting, self._ahead = acting, horizon(model, 0.0)
-        if self._ahead > 0.0:
-            later = advanced(model, acting, history.ahead(now, self._ahead))
-        else:
-            later = acting
+        self._acting, self._ahead = acting, lag_left(model)
+        later = ideal_state(model, acting, self._ahead)
         seen = time + round(1e9 * (model.delay + self._ahead))
         self._shown = max(seen, self._shown + round(0.5e9 * elapsed))  # time never runs back
         return np.array([later.x, later.y, later.theta]), self._shown
@@ -207,7 +204,7 @@ class Robot:
             self._send(wanted)
             return wanted
         settings = self.settings
-        found = compensated(self.model, (self._acting.v, self._acting.w), wanted, self._ahead)
+        found = compensated(self.model, self._acting, wanted, self._ahead, self._period)
         limits = settings.limits
         command = np.minimum(np.maximum(found, limits.lower), limits.upper)
         if settings.motion.limited:

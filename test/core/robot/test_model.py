@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from adp_path_follower.core.robot.compensation import compensated
+from adp_path_follower.core.robot.compensation import compensated, ideal_state, lag_left
 from adp_path_follower.core.robot.history import CommandHistory
 from adp_path_follower.core.robot.model import IDEAL, RobotModel, RobotState, advanced
 
@@ -70,10 +70,24 @@ def test_a_ramp_is_let_through_at_its_rate():
     assert sum(v * dt for v, _, dt in history.held(0.0, 1.0)) == pytest.approx(0.125)
 
 
-@pytest.mark.parametrize("horizon", [0.03, 0.1, 0.4])
-def test_the_compensated_command_brings_the_wanted_motion(horizon):
-    acting = RobotState(0.0, 0.0, 0.0, 0.2, 0.1)
+@pytest.mark.parametrize("lag", [0.03, 0.05, 0.2])
+def test_compensated_the_robot_is_an_ideal_unicycle(lag):
+    period, state = 0.01, RobotState(1.0, -2.0, 0.4)
+    ideal = RobotState(1.0, -2.0, 0.4)
+    for step in range(300):
+        wanted = np.array([0.4 + 0.1 * math.sin(0.01 * step), 0.8 * math.sin(0.02 * step)])
+        v, w = compensated(MODEL, state, wanted, lag, period)
+        x, y, theta, wheels_v, wheels_w = integrated(MODEL, state, [(v, w, period)])
+        state = RobotState(x, y, theta, wheels_v, wheels_w)
+        ideal = advanced(IDEAL, ideal, [(*wanted, period)])
+    found = ideal_state(MODEL, state, lag)
+    assert found.theta == pytest.approx(ideal.theta, abs=0.02 * lag)
+    away = math.hypot(found.x - ideal.x, found.y - ideal.y)
+    assert away < 0.005 * lag + 0.5 * 0.5 * lag**2  # v w lag^2 / 2 in a bend
+    assert MODEL.motion(state.v, state.w) == pytest.approx(tuple(wanted), abs=2.0 * lag)
+
+
+def test_without_a_lag_the_command_is_the_wheels_velocity():
     wanted = np.array([0.5, -0.3])
-    v, w = compensated(MODEL, (acting.v, acting.w), wanted, horizon)
-    after = advanced(MODEL, acting, [(v, w, horizon)])
-    assert MODEL.motion(after.v, after.w) == pytest.approx(tuple(wanted))
+    found = compensated(IDEAL, RobotState(0.0, 0.0, 0.0), wanted, lag_left(IDEAL), 0.01)
+    assert found.tolist() == wanted.tolist()
