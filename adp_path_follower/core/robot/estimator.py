@@ -43,8 +43,8 @@ _OUTLIERS = 5  # in a row, after which it is believed
 class StateEstimator:
     """Knows state, gains and bias at the stamp of the last odometry.
 
-    It is a bank of filters that trust the model to different degrees. What each expected of the
-    latest messages gives it its weight, and the weighted mean is the estimate.
+    It is a bank of filters that trust the model to different degrees. Each is weighed by how well
+    it foretold the latest messages, and the weighted mean is the estimate.
     """
 
     def __init__(self, model: RobotModel, learns: bool) -> None:
