@@ -21,7 +21,7 @@ _POSE, _TWIST, _GAINS = slice(0, 3), slice(3, 5), slice(5, 8)
 # Variances per second of what the model does not know: slip, uneven floor, torque.
 _DISTURBANCE = np.array([0.002, 0.002, 0.003, 0.015, 0.03, 2e-4, 4e-4, 4e-4]) ** 2
 # Shares of these variances in the filters of the bank, from the distrustful to the trustful one.
-_TRUSTS = np.array([1.0, 0.1, 0.01])
+_TRUSTS = np.array([1.0, 0.1, 0.01])[:, None, None]
 _COUNT = len(_TRUSTS)
 _MEMORY = 8.0  # [s] of messages in the evidence
 _LOST, _ANEW = -7.0, -2.0  # logarithms of a weight at which a filter begins anew, and with which
@@ -62,8 +62,8 @@ class StateEstimator:
         self._outliers, self._share = 0, _EARLY
         self._mix()
         # The effect of a change of v or w halfway between two messages until the second.
-        self._pushes = np.zeros((_COUNT, 8, 2))
-        self._pushes[:, 3, 0] = self._pushes[:, 4, 1] = 1.0
+        self._pushes = np.zeros((8, 2))
+        self._pushes[3, 0] = self._pushes[4, 1] = 1.0
 
     def _mix(self) -> None:
         """Weigh the filters, and set those that are out of the question on the weighted mean."""
@@ -71,11 +71,15 @@ class StateEstimator:
         self._weights: FloatArray = np.exp(self._evidence)
         self._weights /= self._weights.sum()
         self._mean: FloatArray = self._weights @ self._means
-        self._mean[_GAINS] = np.clip(self._mean[_GAINS], _LEAST_GAINS, _MOST_GAINS)
-        self._covariance: FloatArray = np.tensordot(self._weights, self._covariances, 1)
         lost = self._evidence < _LOST
-        self._evidence[lost] = _ANEW
-        self._means[lost], self._covariances[lost] = self._mean, self._covariance
+        if lost.any():
+            self._evidence[lost] = _ANEW
+            self._means[lost], self._covariances[lost] = self._mean, self._covariance
+
+    @property
+    def _covariance(self) -> FloatArray:
+        """Return the weighted mean of the covariances, shape (8, 8)."""
+        return np.asarray(np.tensordot(self._weights, self._covariances, 1))
 
     @property
     def state(self) -> RobotState:
@@ -84,7 +88,9 @@ class StateEstimator:
 
     def with_gains(self, model: RobotModel) -> RobotModel:
         """Return a model with the present gains and bias."""
-        return _with_gains(model, self._mean)
+        bounded = np.minimum(np.maximum(self._mean[_GAINS], _LEAST_GAINS), _MOST_GAINS)
+        gain, turn_gain, bias = bounded.tolist()
+        return replace(model, linear_gain=gain, angular_gain=turn_gain, bias=bias)
 
     @property
     def deviations(self) -> FloatArray:
@@ -117,7 +123,7 @@ class StateEstimator:
             return True
         assert self.stamp is not None  # else it has just started
         late = self.stamp - model.delay
-        self._predict(model, history.held(late, late + elapsed), elapsed)
+        self._predict(self.with_gains(model), history.held(late, late + elapsed), elapsed)
         self.stamp = stamp
         self._correct(measured, elapsed)
         self._mix()
@@ -133,46 +139,42 @@ class StateEstimator:
     def _predict(
         self, model: RobotModel, commands: list[tuple[float, float, float]], elapsed: float
     ) -> None:
-        """Move on by an elapsed time [s], and with it the covariances."""
-        before = self._means[:, :5].copy()
-        for mean in self._means:
-            after = advanced(_with_gains(model, mean), RobotState(*mean[:5].tolist()), commands)
-            mean[:5] = after.x, after.y, after.theta, after.v, after.w
-        dx, dy, turn, faster, turning = (self._means[:, :5] - before).T
-        gain, turn_gain, bias = self._means[:, _GAINS].T
+        """Move on by an elapsed time [s], and with it the covariances.
+
+        The filters are near to each other: one slope does for all.
+        """
+        before = self.state
+        after = advanced(model, before, commands)
+        slopes = np.eye(8)
+        gain, turn_gain, bias = model.linear_gain, model.angular_gain, model.bias
         v_left, v_reach = _faded(elapsed, model.linear_lag)
         w_left, w_reach = _faded(elapsed, model.angular_lag)
-        middle = before[:, 2] + 0.5 * turn
-        by_distance = np.stack([np.cos(middle), np.sin(middle), np.zeros(_COUNT)])
-        driven = (dx * by_distance[0] + dy * by_distance[1]) / gain
+        dx, dy, turn = after.x - before.x, after.y - before.y, after.theta - before.theta
+        middle = before.theta + 0.5 * turn
+        along = math.cos(middle), math.sin(middle)
+        driven = (dx * along[0] + dy * along[1]) / gain
         turned = (turn - bias * driven) / turn_gain
-        by_turn = np.stack([-0.5 * dy, 0.5 * dx, np.ones(_COUNT)])
+        by_turn = np.array([-0.5 * dy, 0.5 * dx, 1.0])
+        by_distance = np.array([*along, 0.0])
         forwards = gain * by_distance + bias * by_turn
-        slopes = np.tile(np.eye(8), (_COUNT, 1, 1))
-        slopes[:, 0, 2] -= dy
-        slopes[:, 1, 2] += dx
-        slopes[:, _POSE, 3] = (v_reach * forwards).T
-        slopes[:, _POSE, 4] = (w_reach * turn_gain * by_turn).T
-        slopes[:, _POSE, 5] = (driven * by_distance).T
-        slopes[:, _POSE, 6] = (turned * by_turn).T
-        slopes[:, _POSE, 7] = (driven * by_turn).T
-        slopes[:, 3, 3], slopes[:, 4, 4] = v_left, w_left
-        self._pushes[:, _POSE, 0] = 0.5 * elapsed * forwards.T
-        self._pushes[:, _POSE, 1] = (0.5 * elapsed * turn_gain * by_turn).T
-        missed = _TRUSTS[:, None] * np.stack(
-            [(_UNSURE * faster) ** 2, (_UNSURE * turning) ** 2 + (_TURNED * faster) ** 2], axis=1
-        )
-        spread = np.tile(_DISTURBANCE * elapsed, (_COUNT, 1))
-        spread[:, :5] *= _TRUSTS[:, None]
-        if self.frozen or not self._learns:
-            spread[:, _GAINS] = 0.0
-        self._covariances = slopes @ self._covariances @ slopes.swapaxes(1, 2)
-        self._push(missed)
-        self._covariances[:, range(8), range(8)] += spread
-
-    def _push(self, sizes: FloatArray) -> None:
-        """Add what changes of v and w of these variances (N, 2) do to the state."""
-        self._covariances += (self._pushes * sizes[:, None]) @ self._pushes.swapaxes(1, 2)
+        slopes[_POSE, 2] += (-dy, dx, 0.0)
+        slopes[_POSE, 3] = v_reach * forwards
+        slopes[_POSE, 4] = w_reach * turn_gain * by_turn
+        slopes[_POSE, 5] = driven * by_distance
+        slopes[_POSE, 6] = turned * by_turn
+        slopes[_POSE, 7] = driven * by_turn
+        slopes[3, 3], slopes[4, 4] = v_left, w_left
+        self._pushes[_POSE, 0] = 0.5 * elapsed * forwards
+        self._pushes[_POSE, 1] = 0.5 * elapsed * turn_gain * by_turn
+        faster, turning = after.v - before.v, after.w - before.w
+        missed = (_UNSURE * faster) ** 2, (_UNSURE * turning) ** 2 + (_TURNED * faster) ** 2
+        spread = (self._pushes * missed) @ self._pushes.T
+        spread[range(5), range(5)] += _DISTURBANCE[:5] * elapsed
+        self._covariances = slopes @ self._covariances @ slopes.T + _TRUSTS * spread
+        if self._learns and not self.frozen:
+            self._covariances[:, range(5, 8), range(5, 8)] += _DISTURBANCE[_GAINS] * elapsed
+        moved = np.array([after.x, after.y, after.theta, after.v, after.w, *self._mean[_GAINS]])
+        self._means = moved + (self._means - self._mean) @ slopes.T
 
     def _correct(self, measured: FloatArray, elapsed: float) -> None:
         """Correct the state by a message, and learn its noise from what remains."""
@@ -182,51 +184,48 @@ class StateEstimator:
         unlike = surprise[:, _TWIST] ** 2
         likely = self._covariances[:, (3, 4), (3, 4)] + self.noise[_TWIST]
         jumps = np.where(unlike > _JUMP * likely, unlike, 0.0)
-        if jumps.any():
-            self._push(jumps)
-        expected = self._covariances[:, :5, :5].copy()
-        expected[:, range(5), range(5)] += self.noise
-        gain = np.linalg.solve(expected, self._covariances[:, :5, :]).swapaxes(1, 2)
-        pose = surprise[:, _POSE, None]
-        distance = (pose * np.linalg.solve(expected[:, _POSE, _POSE], pose)).sum(axis=(1, 2))
-        outlier = bool(distance.min() > _GATE)
+        jumped = bool(jumps.any())
+        if jumped:
+            self._covariances += (self._pushes * jumps[:, None]) @ self._pushes.T
+        seen = self._covariances[:, :5, :]
+        expected = seen[:, :, :5] + np.diag(self.noise)
+        far = surprise[:, _POSE] ** 2 / expected[:, range(3), range(3)]
+        outlier = bool(far.sum(axis=1).min() > _GATE)
         self._outliers = self._outliers + 1 if outlier else 0
         if self._outliers > _OUTLIERS:
             self._start(self.stamp or 0.0, measured)
             return
         if outlier:
             return
-        far = surprise[:, :, None]
-        distance = (far * np.linalg.solve(expected, far)).sum(axis=(1, 2))
-        likelihood = -0.5 * (distance + np.linalg.slogdet(expected)[1])
+        inverse = np.linalg.inv(expected)
         if self._share <= _ADAPTATION:  # the noise is known
-            likelihood -= 0.5 * _JUMP * (jumps > 0.0).sum(axis=1)
-            self._evidence += likelihood - elapsed / _MEMORY * self._evidence
+            distance = (surprise[:, None, :] @ inverse @ surprise[:, :, None])[:, 0, 0]
+            distance += np.log(np.linalg.det(expected)) + _JUMP * (jumps > 0.0).sum(axis=1)
+            self._evidence -= 0.5 * distance + elapsed / _MEMORY * self._evidence
+        gain = seen.swapaxes(1, 2) @ inverse
         if self.frozen or not self._learns:
             gain[:, _GAINS] = 0.0
-        gain[jumps.any(axis=1), _GAINS] = 0.0
-        self._means += (gain @ far)[:, :, 0]
-        self._means[:, _GAINS] = np.clip(self._means[:, _GAINS], _LEAST_GAINS, _MOST_GAINS)
+        elif jumped:
+            gain[jumps.any(axis=1), _GAINS] = 0.0
+        correction = (gain @ surprise[:, :, None])[:, :, 0]
+        self._means += correction
+        self._means[:, _GAINS] = np.minimum(
+            np.maximum(self._means[:, _GAINS], _LEAST_GAINS), _MOST_GAINS
+        )
         keeps = np.tile(np.eye(8), (_COUNT, 1, 1))
-        keeps[:, :, :5] -= gain
+        keeps[:, :, :5] -= gain  # Joseph's form, which no rounding makes negative
         self._covariances = keeps @ self._covariances @ keeps.swapaxes(1, 2)
         self._covariances += (gain * self.noise) @ gain.swapaxes(1, 2)
-        self._learn_noise(surprise - (gain[:, :5] @ far)[:, :, 0], jumps)
+        self._learn_noise(surprise - correction[:, :5], jumps)
 
     def _learn_noise(self, left: FloatArray, jumps: FloatArray) -> None:
         """Learn the noise of a message from what is left of surprises (N, 5) after correction."""
         found = self._weights @ (left * left + self._covariances[:, range(5), range(5)])
         found[3:] = np.minimum(found[3:], _MOST_NOISE)
-        found[3:] = np.where((jumps > 0.0).any(axis=0), self.noise[3:], found[3:])
-        found[:2] = found[:2].mean()
+        found[3:] = np.where(jumps.any(axis=0), self.noise[3:], found[3:])
+        found[:2] = 0.5 * (found[0] + found[1])
         self._share = max(_ADAPTATION, self._share / (1.0 + self._share))
         self.noise = np.maximum(self.noise + self._share * (found - self.noise), _FLOOR)
-
-
-def _with_gains(model: RobotModel, mean: FloatArray) -> RobotModel:
-    """Return a model with the gains and the bias of an estimate (8,)."""
-    gain, turn_gain, bias = mean[_GAINS].tolist()
-    return replace(model, linear_gain=gain, angular_gain=turn_gain, bias=bias)
 
 
 def _faded(elapsed: float, lag: float) -> tuple[float, float]:

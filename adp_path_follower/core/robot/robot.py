@@ -17,7 +17,7 @@ from adp_path_follower.core.robot.trial import Trial
 from adp_path_follower.core.settings.groups import Settings
 
 _SETTLING = 0.3  # [s] over which the model that drives follows the one that was found
-_REVIEW = 0.1  # [s] between two looks at the bank
+_REVIEW = 0.2  # [s] between two looks at the bank
 _LONGEST_GAP = 1.0  # [s] between two steps of a robot that was controlled all the time
 _SHORTEST_PERIOD = 1e-6  # [s]
 _LONGEST_PERIOD = 0.1  # [s]: after a pause a command does not make up for it
