@@ -19,6 +19,11 @@ _HINTS = {"pyarrow": "with numpy 1, pip install 'pyarrow<26'"}
 _SLOW = ("distributed", "optuna")  # to import: half a second each, which not every command needs
 
 
+def is_installed(extra: str) -> bool:
+    """Return whether all libraries of an extra, one of `EXTRAS`, are installed."""
+    return all(importlib.util.find_spec(name) is not None for name in EXTRAS[extra])
+
+
 def require(subject: str, extra: str) -> None:
     """Check that the libraries of an extra, one of `EXTRAS`, are installed for a subject.
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adp_path_follower.analysis.events import Event, events_of
+from adp_path_follower.analysis.costs import costs_of
+from adp_path_follower.analysis.events import events_of
 from adp_path_follower.analysis.metrics import (
     METRICS,
     Requirement,
@@ -23,7 +24,7 @@ from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.path.library import is_path_file, named_points
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import flatten, yaml_text
-from adp_path_follower.drawing.charts import Charts
+from adp_path_follower.drawing.charts import Charts, Event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,7 +89,7 @@ class BagAnalysis:
         return requirement.met(self.numbers) and not self.trust.doubt(requirement.name)
 
 
-def number(value: float, digits: int = 4) -> str:
+def number(value: float, digits: int = 5) -> str:
     """Return a number as people read it, words for one that is not known."""
     if not math.isfinite(value):
         return NOT_MEASURED
@@ -149,7 +150,8 @@ def analyse_bag(
         path = named_points(names["path"], _SPACING)
         names["path"] = ""  # none of the bag's
     drive = drive_of(bag, read_run(bag, names, progress), path)
-    metrics, notes = measure_drive(drive, shared)
+    costs = costs_of(drive, shared or drive.settings)
+    metrics = measure_drive(drive, costs.values)
     if trajectory is not None:
         _write_tum(drive, trajectory)
     events, left_out = events_of(drive)
@@ -158,13 +160,13 @@ def analyse_bag(
         name=bag.name or str(bag) if title is None else title,
         metrics=metrics,
         states=time_in_state(drive),
-        charts=charts_of(drive, bags),
+        charts=charts_of(drive, bags, costs.optimum),
         events=events,
         events_left_out=left_out,
         settings={name: yaml_text(value) for name, value in settings.items()},
         topics=drive.run.message_counts,
         used=drive.run.topics,
-        notes=(*drive.notes, *notes, *filter(None, [left_out])),
+        notes=(*drive.notes, *costs.notes, *filter(None, [left_out])),
         trust=trust_of(drive, metrics),
     )
 

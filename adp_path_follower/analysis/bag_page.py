@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from adp_path_follower.analysis.bag_analysis import NOT_MEASURED, BagAnalysis, number
+from adp_path_follower.analysis.bag_analysis import BagAnalysis, number
+from adp_path_follower.analysis.headline import headline
 from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
-from adp_path_follower.analysis.page_figures import motions, page_figures
-from adp_path_follower.drawing.charts import Charts
-from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, color
+from adp_path_follower.analysis.policy_maps import LEARNED
+from adp_path_follower.drawing.charts import Charts, ShownRun
+from adp_path_follower.drawing.figure_style import color
 from adp_path_follower.drawing.page import write_page
+from adp_path_follower.drawing.page_figures import distance_scales, motions, page_figures
 
 CAPTIONS = {
     "track": (
@@ -21,12 +23,20 @@ CAPTIONS = {
         "The robot's track beside the path. The arrow is the robot at the time of the slider "
         "below.",
     ),
+    "policy_before": (
+        "The policy at the first step",
+        "Turn rate that it commands for each distance y and angle θ to the path; red turns right.",
+    ),
+    "policy_after": (
+        f"The policy {LEARNED:g} s later",
+        "The same map with the weights that were learned by then.",
+    ),
     "errors": (
         "Tracking errors",
         "Distance and angle to the nearest place of the path, positive to its left, from odometry "
         "and path alone.",
     ),
-    "commands": ("Commands", "Commands that the robot received."),
+    "commands": ("Commands", "Commands that the robot received; each holds until the next."),
     "cost": ("Cost to date", "∫ eᵀQe + uᵀRu so far, as the controller counts it."),
     "weights": (
         "Critic and actor weights",
@@ -60,6 +70,11 @@ _DETAILS: tuple[tuple[str, str, Callable[[Charts], bool]], ...] = (
         lambda charts: bool(np.isfinite(charts.track.target).any()),
     ),
     (
+        "track",
+        "The orange arrow is the optimum from the same start.",
+        lambda charts: charts.optimum is not None,
+    ),
+    (
         "errors",
         "s is how far the robot is ahead of its virtual target.",
         lambda charts: len(charts.panels["errors"]) > 2,
@@ -72,6 +87,9 @@ _DETAILS: tuple[tuple[str, str, Callable[[Charts], bool]], ...] = (
         ),
     ),
 )
+
+_COSTS = ("cost", "cost_ratio", "bellman_error_rms")
+_COST_OF = ("state_cost", "input_cost", "desired_speed", "target_gain")
 
 
 @dataclass(frozen=True)
@@ -86,13 +104,15 @@ def write_report(
     analyses: Sequence[BagAnalysis], requirements: Sequence[Requirement], file: FilePath
 ) -> None:
     """Write the page about one or several bags."""
-    figures = page_figures(analyses)
+    runs = [ShownRun(item.name, item.charts, item.events) for item in analyses]
+    figures = page_figures(runs)
     write_page(
         file,
         "report",
-        {"figures": figures, "motions": motions(analyses), "scales": _scales()},
+        {"figures": figures, "motions": motions(runs), "scales": distance_scales()},
         title=", ".join(analysis.name for analysis in analyses),
         analyses=analyses,
+        headlines=[headline(analysis) for analysis in analyses],
         colors=[color(index) for index in range(len(analyses))],
         rows=_rows(analyses),
         states=sorted({state for analysis in analyses for state in analysis.states}),
@@ -128,32 +148,31 @@ def _captions(
     return found
 
 
-def _scales() -> dict[str, list[tuple[float, str]]]:
-    """Return the colours of distances by theme, as Plotly has them: place from 0 to 1, colour."""
-    return {
-        theme: list(zip(np.linspace(0.0, 1.0, len(colors)).tolist(), colors, strict=True))
-        for theme, colors in DISTANCE_SCALES.items()
-    }
-
-
 def _rows(analyses: Sequence[BagAnalysis]) -> list[_Row]:
     rows = []
     for metric in METRICS:
-        values = [analysis.metrics[metric.name] for analysis in analyses]
-        known = [value for value in values if math.isfinite(value)]
-        best = math.nan
-        if metric.better and len(known) > 1:
-            best = min(known) if metric.better == "low" else max(known)
-        rows.append(
-            _Row(
-                metric,
-                tuple(
-                    (number(value), number(value) == number(best) != NOT_MEASURED)
-                    for value in values
-                ),
-            )
-        )
+        texts = [number(analysis.metrics[metric.name], 5) for analysis in analyses]
+        best = _best(metric, analyses)
+        # No star where two share the best value as it is printed.
+        stars = [place == best and texts.count(text) == 1 for place, text in enumerate(texts)]
+        rows.append(_Row(metric, tuple(zip(texts, stars, strict=True))))
     return rows
+
+
+def _best(metric: Metric, analyses: Sequence[BagAnalysis]) -> int:
+    """Return which bag has the best value, -1 where none has or they cannot be compared."""
+    values = np.array([analysis.metrics[metric.name] for analysis in analyses])
+    comparable = metric.name not in _COSTS or _share_costs(analyses)
+    doubted = any(analysis.trust.doubt(metric.name) for analysis in analyses)
+    if not metric.better or doubted or not comparable or np.isfinite(values).sum() < 2:
+        return -1
+    return int(np.nanargmin(values) if metric.better == "low" else np.nanargmax(values))
+
+
+def _share_costs(analyses: Sequence[BagAnalysis]) -> bool:
+    """Return whether all bags name the same Q, R and speed along the path."""
+    known = {tuple(analysis.settings.get(name, "") for name in _COST_OF) for analysis in analyses}
+    return len(known) == 1
 
 
 def _settings(analyses: Sequence[BagAnalysis]) -> list[tuple[str, list[str], bool]]:

@@ -10,7 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
-from adp_path_follower.analysis.events import KINDS
+from adp_path_follower.drawing.charts import KINDS
 from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, STYLE, color, is_dashed
 
 
@@ -47,9 +47,9 @@ def _track(analyses: Sequence[BagAnalysis]) -> Figure:
         if len(analyses) == 1:
             x, y = track.position.T
             scale = LinearSegmentedColormap.from_list("distance", DISTANCE_SCALES["light"])
-            distance, limit = np.abs(track.cross_track), track.color_limit
+            distance, limit = 1e3 * np.abs(track.cross_track), 1e3 * track.color_limit
             dots = axes.scatter(x, y, c=distance, s=5, cmap=scale, vmin=0.0, vmax=limit, zorder=2)
-            figure.colorbar(dots, label="|cross-track| [m]", extend="max")
+            figure.colorbar(dots, label="|cross-track| [mm]", extend="max")
         else:
             axes.plot(*track.position.T, color=color(index), label=_plain(analysis.name))
     if len(analyses) > 1:
@@ -78,6 +78,7 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
                     linestyle="--"
                     if by_line and is_dashed(number) and not line.background
                     else "-",
+                    drawstyle="steps-post" if panel.steps else None,
                     label=None if line.background else _plain(line.name),
                 )
                 number += not line.background
@@ -86,6 +87,9 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
             place.set_ylabel(panel.label)
             if panel.logarithmic:
                 place.set_yscale("log")
+            for spans in analysis.charts.halts.values():
+                for begin, end in spans:
+                    place.axvspan(begin, end, color="0.5", alpha=0.15, linewidth=0)
             if len(analyses) == 1 and number > 1:
                 place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
     if len(analyses) > 1:

@@ -1,13 +1,16 @@
 """J of a recorded run, of any controller, and the optimum J* from the same start."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from adp_path_follower.analysis.recorded_run import Drive
+from adp_path_follower.core.control.error_dynamics import target_speed
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.progress import new_start
 from adp_path_follower.core.path.route import route_of
@@ -24,25 +27,35 @@ _LEAST_OPTIMUM = 1e-4  # J* of a start half a centimetre beside the path
 _LEAST_RATIO = 0.9  # J / J*: less is no matter of rounding
 
 
-def costs_of(drive: Drive, settings: Settings | None) -> tuple[dict[str, float], tuple[str, ...]]:
+@dataclass(frozen=True)
+class Costs:
+    """J of a run and the optimum from the same start, as far as the bag tells."""
+
+    values: dict[str, float]  # cost, optimal_cost, cost_ratio
+    notes: tuple[str, ...]  # sentences about them
+    # The optimal motion: time since the first command [s], x, y [m], theta [rad], shape (T, 4).
+    optimum: FloatArray | None = None
+
+
+def costs_of(drive: Drive, settings: Settings | None) -> Costs:
     """Return cost, optimum and their ratio, as far as the bag tells."""
     time = drive.commands.time
     if settings is None:
-        return {}, (
-            "no cost: the bag does not say with which settings the controller ran; --params gives "
-            "some to all bags",
+        return _unknown(
+            "the bag does not say with which settings the controller ran; --params gives some to "
+            "all bags"
         )
     chosen = (time >= 0.0) & (time <= drive.end)
     if not chosen.any() or drive.end < COST_HORIZON:
-        return {}, (f"no cost: the robot was told to move for less than {COST_HORIZON:g} s",)
+        return _unknown(f"the robot was told to move for less than {COST_HORIZON:g} s")
     place = np.searchsorted(drive.odometry.time, time[chosen] + 1e-9, side="right") - 1
     place = np.maximum(place, 0)
     numbers = drive.segment_of_pose[place[time[chosen] < COST_HORIZON]]
     segment, path = drive.segments[numbers[0]], drive.segments[numbers[0]].path
     if (numbers != numbers[0]).any():
-        return {}, (f"no cost: the path changed in the first {COST_HORIZON:g} s",)
+        return _unknown(f"the path changed in the first {COST_HORIZON:g} s")
     if segment.reverse:
-        return {}, ("no cost: the robot drove backwards",)
+        return _unknown("the robot drove backwards")
     time = time[chosen] - time[chosen][0]
     count = int(np.searchsorted(time, COST_HORIZON + 1e-6, side="right")) + 1
     time, poses = time[:count], drive.odometry.values[place[:count], :3]
@@ -53,11 +66,16 @@ def costs_of(drive: Drive, settings: Settings | None) -> tuple[dict[str, float],
     cost = cost_over_horizon(
         settings, path, time, poses, drive.commands.values[chosen][:count], arc_lengths
     )
-    optimum, notes = _optimal_cost(settings, path, float(arc_lengths[0]), error)
+    optimum, motion, notes = _optimum(settings, path, float(arc_lengths[0]), error)
     weights = settings.cost.state_cost_matrix()
     noise = COST_HORIZON * float(weights[0, 0] + weights[1, 1]) * drive.motion.noise**2
     ratio, doubt = _cost_ratio(cost, optimum, max(_LEAST_OPTIMUM, _NOISES * noise))
-    return {"cost": cost, "optimal_cost": optimum, "cost_ratio": ratio}, (*notes, *doubt)
+    values = {"cost": cost, "optimal_cost": optimum, "cost_ratio": ratio}
+    return Costs(values, (*notes, *doubt), motion)
+
+
+def _unknown(why: str) -> Costs:
+    return Costs({}, (f"no cost: {why}",))
 
 
 def _cost_ratio(cost: float, optimum: float, least: float) -> tuple[float, tuple[str, ...]]:
@@ -91,15 +109,26 @@ def _virtual_target(
     return arc_lengths, first
 
 
-def _optimal_cost(
+def _optimum(
     settings: Settings, path: Path, arc_length: float, error: FloatArray
-) -> tuple[float, tuple[str, ...]]:
-    """Return J* from a start, NaN and why where it is not known."""
+) -> tuple[float, FloatArray | None, tuple[str, ...]]:
+    """Return J* from a start and the motion it is of, or NaN and why it is not known."""
     if is_paper_problem(settings, path, arc_length, error):
-        return paper_optimum().cost, ()
+        found = paper_optimum()
+        time, errors = found.time, found.error
+        speed = target_speed(errors, settings.target, settings.target.desired_speed)
+        places = arc_length + cumulative_trapezoid(speed, time, initial=0.0)
+        return found.cost, _poses(path, time, errors, places), ()
     try:
         from adp_path_follower.study.optimum.collocation import solve_optimum
 
-        return solve_optimum(settings, path, error, arc_length, COST_HORIZON).cost, ()
+        optimum = solve_optimum(settings, path, error, arc_length, COST_HORIZON)
     except AdpError as problem:  # no CasADi, or no optimum found
-        return math.nan, (f"no J*: {problem}",)
+        return math.nan, None, (f"no J*: {problem}",)
+    motion = optimum.motion
+    return optimum.cost, _poses(path, motion.time, motion.state[:, :3], motion.state[:, 3]), ()
+
+
+def _poses(path: Path, time: FloatArray, errors: FloatArray, places: FloatArray) -> FloatArray:
+    """Return time and pose of a motion with errors (T, 3) to the target at arc lengths (T,)."""
+    return np.column_stack([time, pose_in_frame(errors, path.frame(places).pose)])

@@ -1,25 +1,15 @@
 """Events of a run: state changes, faults, parameter changes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from adp_path_follower.analysis.recorded_run import Drive, controller_states
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.drawing.charts import Event
 from adp_path_follower.messages.configuration import Configuration, parse_configuration
 
 MOST_EVENTS = 500  # that are kept of a bag
-KINDS = ("state", "fault", "warning", "parameter", "path")
 _FIRST_KEPT = ("fault", "state", "parameter", "warning", "path")  # where there are too many
 _ERROR = 2  # level of diagnostics
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that happened at a time [s]; the kind is one of `KINDS`."""
-
-    time: float
-    kind: str
-    text: str
 
 
 def events_of(drive: Drive) -> tuple[tuple[Event, ...], str]:

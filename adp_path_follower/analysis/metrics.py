@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.analysis.costs import costs_of
 from adp_path_follower.analysis.recorded_run import (
     Drive,
     controller_states,
@@ -19,7 +18,6 @@ from adp_path_follower.analysis.recorded_run import (
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.supervisor import State
-from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.criteria import (
     APPROACHED_LEAST,
     APPROACHED_SHARE,
@@ -112,10 +110,8 @@ METRIC_NAMES = tuple(metric.name for metric in METRICS)
 _STATE = "time_in_state."
 
 
-def measure_drive(
-    drive: Drive, shared: Settings | None = None
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return name -> value, NaN if unknown, and notes; J counts by `shared` settings, if any."""
+def measure_drive(drive: Drive, costs: Mapping[str, float]) -> dict[str, float]:
+    """Return name -> value, NaN if unknown, with the costs that were counted of it."""
     values = dict.fromkeys(METRIC_NAMES, math.nan)
     driving = drive.driving
     time = drive.odometry.time[driving]
@@ -141,8 +137,7 @@ def measure_drive(
         if key in drive.learner:
             found = finite(drive.learner[key].values)
             values[name] = statistic(found) if len(found) else math.nan
-    costs, notes = costs_of(drive, shared or drive.settings)
-    return values | costs, notes
+    return {**values, **costs}
 
 
 def approach(time: FloatArray, cross_track: FloatArray, noise: float = 0.0) -> dict[str, float]:

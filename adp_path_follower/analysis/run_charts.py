@@ -4,7 +4,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adp_path_follower.analysis.recorded_run import Drive, Timed, period_of
+from adp_path_follower.analysis.policy_maps import steering_maps
+from adp_path_follower.analysis.recorded_run import (
+    Drive,
+    Timed,
+    controller_states,
+    finite,
+    last_time,
+    period_of,
+)
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.criteria import transient
 from adp_path_follower.drawing.charts import (
     Charts,
@@ -13,25 +22,33 @@ from adp_path_follower.drawing.charts import (
     Track,
     above_zero,
     drawable,
-    extremes,
     histogram,
     line_of,
     path_line,
+    track_of,
 )
 
+_HALTS = ("waiting", "stopped", "fault")  # states in which the robot is not driven
+_GAP, _GAP_PERIODS = 0.25, 5.0  # [s] and periods without a command that leave a gap
 _BUCKETS = 2000  # of a line, shared by the bags
+_WEIGHT_BUCKETS = 600  # of one of many
 _GREY_BUCKETS = 200  # of a weight that is only there for the whole
 _NAMED_WEIGHTS = 10
 _LEAST_DISTANCE = 1e-6  # [m] that colours are told apart for
-_POSES = 4000  # that the robot is moved through, shared by the bags
+_POSES = 3000  # that the robot is moved through, shared by the bags
 
 
-def charts_of(drive: Drive, bags: int) -> Charts:
-    """Return the figures of a drive, one of a number of bags."""
+def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Charts:
+    """Return the figures of a drive, one of a number of bags, beside its optimum (T, 4)."""
     buckets = max(200, _BUCKETS // bags)
 
     def line(name: str, timed: Timed, column: int = 0, change: Callable = np.asarray) -> Line:
         return line_of(name, timed.time, change(timed.values[:, column]), buckets)
+
+    def told(name: str, column: int) -> Line:
+        timed, usual = drive.commands, finite(np.diff(drive.commands.time))
+        longest = max(_GAP, _GAP_PERIODS * float(np.median(usual))) if len(usual) else _GAP
+        return line_of(name, timed.time, timed.values[:, column], buckets, longest=longest)
 
     found: dict[str, tuple[Panel, ...]] = {"errors": _error_panels(drive, buckets)}
     if len(drive.commands.time):
@@ -39,20 +56,22 @@ def charts_of(drive: Drive, bags: int) -> Charts:
         found["commands"] = (
             Panel(
                 "v [m/s]",
-                (line("v", drive.commands),),
+                (told("v", 0),),
                 () if limits is None else (limits.min_linear_vel, limits.max_linear_vel),
+                steps=True,
             ),
             Panel(
                 "ω [rad/s]",
-                (line("ω", drive.commands, 1),),
+                (told("ω", 1),),
                 () if limits is None else (-limits.max_angular_vel, limits.max_angular_vel),
+                steps=True,
             ),
         )
     learner = drive.learner
     if "cost" in learner:
         found["cost"] = (Panel("cost to date", (line("cost", learner["cost"]),)),)
     weights = tuple(
-        Panel(f"{name} weight", _weight_lines(learner[f"{name}_weights"], buckets, bags))
+        Panel(f"{name} weight", _weight_lines(learner[f"{name}_weights"], bags))
         for name in ("critic", "actor")
         if f"{name}_weights" in learner
     )
@@ -71,14 +90,31 @@ def charts_of(drive: Drive, bags: int) -> Charts:
         )
         if len(values)
     }
-    return Charts(_track(drive, bags), found, histograms)
+    return Charts(
+        _track(drive, bags), found, histograms, _halts(drive), steering_maps(drive), optimum
+    )
+
+
+def _halts(drive: Drive) -> dict[str, FloatArray]:
+    """Return when the controller waited, was stopped or at fault: state -> times (N, 2) [s]."""
+    changes = controller_states(drive.run.diagnostics)
+    times = [drive.seconds(change.time) for change in changes]
+    found: dict[str, list[tuple[float, float]]] = {}
+    for change, begin, end in zip(changes, times, [*times[1:], last_time(drive)], strict=False):
+        # Before the first command and after the last one there is nothing to shade.
+        begin, end = max(begin, 0.0), min(end, drive.end)
+        if change.state in _HALTS and end > begin:
+            found.setdefault(change.state, []).append((begin, end))
+    return {state: np.array(spans) for state, spans in found.items()}
 
 
 def _error_panels(drive: Drive, buckets: int) -> tuple[Panel, ...]:
     """Return distance and angle to the path, and how far the robot is ahead of its target."""
     time, beside = drive.odometry.time, drive.projection
     panels = [
-        Panel("cross-track [m]", (line_of("cross-track", time, beside.cross_track, buckets),)),
+        Panel(
+            "cross-track [mm]", (line_of("cross-track", time, 1e3 * beside.cross_track, buckets),)
+        ),
         Panel("heading [rad]", (line_of("heading", time, beside.heading, buckets),)),
     ]
     if "tracking_error" in drive.learner:
@@ -89,7 +125,7 @@ def _error_panels(drive: Drive, buckets: int) -> tuple[Panel, ...]:
     return tuple(panels)
 
 
-def _weight_lines(weights: Timed, buckets: int, bags: int) -> tuple[Line, ...]:
+def _weight_lines(weights: Timed, bags: int) -> tuple[Line, ...]:
     """Return the largest weights by name, and the others behind them."""
     # Column by column: a copy of all weights of an hour would take 200 MB.
     size = np.array([np.abs(column).max(initial=0.0) for column in weights.values.T])
@@ -99,7 +135,7 @@ def _weight_lines(weights: Timed, buckets: int, bags: int) -> tuple[Line, ...]:
     for column in range(weights.values.shape[1]):
         label = weights.labels[column] if column < len(weights.labels) else str(column + 1)
         background = column not in named
-        count = _GREY_BUCKETS // bags if background else buckets
+        count = (_GREY_BUCKETS if background else _WEIGHT_BUCKETS) // bags
         values = weights.values[:, column]
         lines.append(line_of(label, weights.time, values, count, background))
     return tuple(sorted(lines, key=lambda line: not line.background))
@@ -108,30 +144,24 @@ def _weight_lines(weights: Timed, buckets: int, bags: int) -> tuple[Line, ...]:
 def _track(drive: Drive, bags: int) -> Track:
     """Return the track, with every peak of the distance from the path, and its motion."""
     time, poses = drive.odometry.time, drive.odometry.values[:, :3]
-    kept = extremes(drive.projection.cross_track, max(200, 1500 // bags))
-    uniform = np.linspace(0, len(time) - 1, min(len(time), max(500, _POSES // bags)))
-    moving = np.unique(uniform.astype(int))
-    target = np.full((len(moving), 2), np.nan)
+    target = None
     if "target" in drive.learner and len(drive.learner["target"].time):
         recorded = drive.learner["target"]
         order = np.argsort(recorded.time, kind="stable")
-        for column in (0, 1):
-            target[:, column] = np.interp(
-                time[moving],
-                recorded.time[order],
-                drawable(recorded.values[order, column]),
-                left=np.nan,
-                right=np.nan,
-            )
-    return Track(
+        columns = (drawable(recorded.values[order, column]) for column in (0, 1))
+        known = recorded.time[order]
+        target = np.column_stack(
+            [np.interp(time, known, values, left=np.nan, right=np.nan) for values in columns]
+        )
+    return track_of(
         path_line([segment.path for segment in drive.segments], bags),
-        time[kept],
-        poses[kept, :2],
-        drive.projection.cross_track[kept],
-        _color_limit(drive),
-        time[moving],
-        poses[moving],
-        target,
+        time,
+        poses,
+        drive.projection.cross_track,
+        target=target,
+        color_limit=_color_limit(drive),
+        points=max(200, 1500 // bags),
+        samples=max(500, _POSES // bags),
     )
 
 

@@ -18,7 +18,7 @@ from adp_path_follower.cli.options import (
     simulator_options,
     start_options,
 )
-from adp_path_follower.cli.outputs import output_directory, write_json
+from adp_path_follower.cli.outputs import output_directory, page_address, write_json
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
@@ -26,6 +26,7 @@ from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.robot import ROBOT_MODELS
+from adp_path_follower.extras import is_installed
 from adp_path_follower.study.comparison.controllers import PEERS, known_controllers
 from adp_path_follower.study.simulation.simulate import read_starts, without_nodes
 from sim_unicycle.settings import SimulatorSettings
@@ -55,7 +56,7 @@ _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.i
 )
 @click.option("--list", "list_them", is_flag=True, help="Name the controllers, and end.")
 @click.option("--unlimited", is_flag=True, help="Without limits of the command.")
-@out_option("compare", "table, figures and numbers")
+@out_option("compare", "table, figures, numbers and the page of the race")
 def compare(
     params: FilePath | None,
     assignments: tuple[str, ...],
@@ -121,7 +122,9 @@ def compare(
             plant=plant,
             faults=faults,
         )
-    click.echo(f"In {directory}: compare.txt, compare.json and the figures")
+    click.echo(f"In {directory}: compare.txt, compare.json, race.html and the figures")
+    for page in sorted(directory.rglob("race.html")):
+        click.echo(page_address(page))
     sys.exit(1 if problems else 0)
 
 
@@ -203,6 +206,41 @@ def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> N
         (directory / "compare.txt").write_text(text + "\n", encoding="utf-8")
         write_json(directory / "compare.json", {"paths": [_numbers(item) for item in found]})
         draw_comparison(found[-1], figures)
+        if is_installed("report"):
+            _write_race(found[-1], figures / "race.html")
+
+
+def _write_race(found: Comparison, file: FilePath) -> None:
+    """Write the page on which all controllers start together."""
+    from adp_path_follower.study.simulation.page import Table, write_runs_page
+
+    columns = (
+        "controller", "J/J*, median", "95 %", "max", "failed", "settled in [s]", "effort",
+        "cross-track RMS [mm]", "max [mm]", "per step [ms]",
+    )  # fmt: skip
+    ranked = sorted(found.outcomes, key=_rank)
+    rows = []
+    for item in ranked:
+        numbers = (
+            *((item.quantile(share), 4) for share in (0.5, 0.95, 1.0)),
+            (float(item.failed.sum()), 0),
+            (_median(item.settling_time), 2),
+            (_median(item.effort[~item.failed]), 3),
+            (1e3 * item.cross_track_rms, 3),
+            (1e3 * item.cross_track_max, 2),
+            (1e3 * item.step_time, 3),
+        )
+        cells = ((_number(value, 0, digits).strip(), value) for value, digits in numbers)
+        rows.append(((item.name, math.nan), *cells))
+    about = (
+        f"Every controller drives one lap of {found.path_name} from the paper's start, with the "
+        "same target, cost and limits. The table compares J with the offline optimum J* from "
+        f"{len(found.starts)} start{'s' * (len(found.starts) > 1)}, and the distance from the "
+        "path over the lap after 10 s."
+    )
+    runs = [item.lap for item in ranked]
+    title = f"Race of {len(runs)} controllers on {found.path_name}"
+    write_runs_page(file, title, about, "adp compare", runs, Table(columns, tuple(rows)))
 
 
 def _numbers(found: Comparison) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from adp_path_follower.cli.options import (
     settings_options,
     simulator_options,
 )
-from adp_path_follower.cli.outputs import new_directory, write_json
+from adp_path_follower.cli.outputs import new_directory, page_address, write_json
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
@@ -31,6 +31,8 @@ from sim_unicycle.settings import SimulatorSettings
 if TYPE_CHECKING:
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
 
+_TO_BEGIN = 1.0  # [s] from rest or from a start beside the path
+
 
 @click.command()
 @settings_options
@@ -40,17 +42,17 @@ if TYPE_CHECKING:
 @click.option(
     "--duration",
     type=click.FloatRange(1.0, 3600.0),
-    default=60.0,
-    show_default=True,
-    help="Simulated time [s].",
+    help="Simulated time [s]; one lap at the desired speed if it is not given.",
 )
+@click.option("--open", "open_page", is_flag=True, help="Open the page in a browser at the end.")
 def demo(
     params: FilePath | None,
     assignments: tuple[str, ...],
     simulator: SimulatorSettings,
     path_name: str,
     directory: FilePath,
-    duration: float,
+    duration: float | None,
+    open_page: bool,
 ) -> None:
     r"""Drive the paper's figure eight with real ROS 2 nodes.
 
@@ -73,8 +75,14 @@ def demo(
     require("adp demo", "jazzy")
     new_directory(directory)
     started = time.monotonic()
+    if duration is None:
+        duration = _TO_BEGIN + path.length / settings.target.desired_speed
     bag = _run(settings, simulator, path, path_name, duration, directory)
-    _report(bag, directory, duration, time.monotonic() - started)
+    page = _report(bag, directory, duration, time.monotonic() - started)
+    if page is not None:
+        click.echo(page_address(page))
+        if open_page:
+            click.launch(page_address(page))
 
 
 def _run(
@@ -131,8 +139,10 @@ def _run(
     return bag
 
 
-def _report(bag: FilePath, directory: FilePath, duration: float, wall_time: float) -> None:
-    """Analyse the bag as `adp analyze` does, draw the paper's figures, and print the numbers."""
+def _report(
+    bag: FilePath, directory: FilePath, duration: float, wall_time: float
+) -> FilePath | None:
+    """Analyse the bag as `adp analyze` does, print the numbers, and return the page if written."""
     from adp_path_follower.analysis.bag_analysis import analyse_bag, metrics_table
     from adp_path_follower.bags.reader import read_run
     from adp_path_follower.drawing.run_figures import draw_figures
@@ -149,7 +159,9 @@ def _report(bag: FilePath, directory: FilePath, duration: float, wall_time: floa
     view = view_of_replay(run, replayed)
     draw_figures(view, directory / "figures", paper_optimum() if known else None)
     written = "figures/, bag/ (rosbag2, MCAP), summary.json, trajectory.tum, logs/"
-    if _write_page(analysis, directory / "report.html"):
+    page = directory / "report.html"
+    has_page = _write_page(analysis, page)
+    if has_page:
         written = f"report.html, {written}"
     commands, identical = len(replayed.outputs), int(replayed.identical.sum())
     control_rate = (commands - 1) / float(view.time[-1]) if view.time[-1] > 0.0 else math.nan
@@ -170,6 +182,7 @@ def _report(bag: FilePath, directory: FilePath, duration: float, wall_time: floa
         f"odometry, {control_rate:.1f} per simulated second.\n{duration:g} s of simulated time "
         f"took {wall_time:.0f} s. In {directory}: {written}"
     )
+    return page if has_page else None
 
 
 def _write_page(analysis: BagAnalysis, file: FilePath) -> bool:

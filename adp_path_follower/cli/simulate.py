@@ -16,7 +16,13 @@ from adp_path_follower.cli.options import (
     simulator_options,
     start_options,
 )
-from adp_path_follower.cli.outputs import check_writable, json_option, write_json, write_npz
+from adp_path_follower.cli.outputs import (
+    check_writable,
+    json_option,
+    page_address,
+    write_json,
+    write_npz,
+)
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import FileError, PathError
 from adp_path_follower.core.geometry import FloatArray
@@ -27,6 +33,7 @@ from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.criteria import SETTLED
+from adp_path_follower.extras import require
 from adp_path_follower.study.simulation.route import is_plain, simulate_route
 from adp_path_follower.study.simulation.simulate import (
     LEARNING_MODES,
@@ -40,6 +47,7 @@ from adp_path_follower.study.simulation.simulate import (
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 
 _ROWS_SHOWN = 20
+_RUNS_DRAWN = 6  # on the page, as there are colours
 
 
 @click.command()
@@ -69,6 +77,9 @@ _ROWS_SHOWN = 20
     "--allow-failures", is_flag=True, help="Exit with 0 although a run left the path, not 1."
 )
 @click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the trajectories.")
+@click.option(
+    "--report", "page", type=FILE, metavar="FILE", help="Write a page with the first six runs."
+)
 def simulate(
     params: FilePath | None,
     assignments: tuple[str, ...],
@@ -83,6 +94,7 @@ def simulate(
     weights_file: FilePath | None,
     json_file: FilePath | None,
     npz_file: FilePath | None,
+    page: FilePath | None,
     allow_failures: bool,
 ) -> None:
     r"""Simulate the closed loop without ROS, from one or many starts.
@@ -104,16 +116,18 @@ def simulate(
     route = named_route(path_name, settings.path)
     errors = collect_starts(starts, starts_file)
     if not is_plain(route):
-        plain = weights_file is None and npz_file is None and learning != "warm"
+        plain = weights_file is None and npz_file is page is None and learning != "warm"
         if not plain or start_arc_length or faults.entries:
             raise PathError(
                 f"path '{path_name}' has turns on the spot or is driven backwards: leave out "
-                "--weights, --npz, --start-arc-length, fault_script and --learning warm"
+                "--weights, --npz, --report, --start-arc-length, fault_script and --learning warm"
             )
         _simulate_route(settings, route, errors, duration, rate, learning, plant, json_file)
         return
     path = route.segments[0].path
-    check_writable(json_file, npz_file)
+    check_writable(json_file, npz_file, page)
+    if page is not None:
+        require("adp simulate --report", "report")
     make_controller: ControllerFactory = PathFollower
     if weights_file is not None:
         make_controller = _starting_from(weights_file, settings)
@@ -130,7 +144,7 @@ def simulate(
             controller=make_controller,
             plant=plant,
             faults=faults,
-            record=npz_file is not None,
+            record=npz_file is not None or page is not None,
             progress=progress,
         )
     elapsed = time.perf_counter() - begun
@@ -140,10 +154,37 @@ def simulate(
         write_json(json_file, {"runs": _runs(result)})
     if npz_file is not None and result.trajectories is not None:
         write_npz(npz_file, {"starts": result.starts, **vars(result.trajectories)})
+    if page is not None:
+        _write_page(result, path, settings, path_name, page)
     failed = int(result.failed.sum())
     if failed and not allow_failures:
         click.echo(f"adp: {failed} of {len(errors)} runs left the path", err=True)
         sys.exit(1)
+
+
+def _write_page(
+    result: SimulationResult, path: Path, settings: Settings, path_name: str, file: FilePath
+) -> None:
+    """Write the page of the first runs, and say where it is."""
+    from adp_path_follower.study.simulation.page import Table, shown_run, write_runs_page
+
+    count, trajectories = min(len(result.starts), _RUNS_DRAWN), result.trajectories
+    assert trajectories is not None  # recorded for it
+    names = [f"from ({s:.3g}, {y:.3g}, {theta:.3g})" for s, y, theta in result.starts[:count]]
+    runs = [
+        shown_run(name, path, settings, trajectories, run, count) for run, name in enumerate(names)
+    ]
+    ends = np.linalg.norm(result.final_error[:count], axis=1)
+    columns = ("start (s, y, θ)", "J", "settled in [s]", "|e| at the end")
+    numbers = zip(result.cost, result.settling_time, ends, strict=False)
+    rows = tuple(
+        ((name, np.nan), *((f"{value:.6g}", float(value)) for value in values))
+        for name, values in zip(names, numbers, strict=False)
+    )
+    about = "The virtual target begins at the same place for every run; θ is in radians."
+    title = f"Simulated runs on {path_name}"
+    write_runs_page(file, title, about, "adp simulate", runs, Table(columns, rows))
+    click.echo(page_address(file))
 
 
 def _simulate_route(

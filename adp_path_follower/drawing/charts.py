@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,17 @@ from adp_path_follower.core.path.curve import Path
 _PATH_POINTS = 4000  # of all paths, shared by the bags
 _LEAST_PATH_POINTS = 12  # of each path, however many there are
 _BINS = 60
+KINDS = ("state", "fault", "warning", "parameter", "path")
 _GREATEST = 1e30  # that is drawn; the page has single precision, and the axes need room beyond
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at a time [s]; the kind is one of `KINDS`."""
+
+    time: float
+    kind: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,7 @@ class Panel:
     lines: tuple[Line, ...]  # the curves
     limits: tuple[float, ...] = ()  # values that the curves may not leave
     logarithmic: bool = False  # whether the axis is
+    steps: bool = False  # whether a value holds until the next
 
 
 @dataclass(frozen=True)
@@ -61,21 +72,90 @@ class Track:
 
 
 @dataclass(frozen=True)
+class SteeringMap:
+    """The turn rate that a policy commands beside the path: values (len(y), len(theta))."""
+
+    y: FloatArray  # distance from the path, positive to the left [m]
+    theta: FloatArray  # angle to the path [rad]
+    turn_rate: FloatArray  # [rad/s]
+
+
+@dataclass(frozen=True)
 class Charts:
-    """The figures of one bag: key -> panels or histogram."""
+    """The figures of one run: key -> panels, histogram or map."""
 
     track: Track
     panels: dict[str, tuple[Panel, ...]]
-    histograms: dict[str, Histogram]
+    histograms: dict[str, Histogram] = field(default_factory=dict)
+    # When the robot was stopped or at fault: state -> from and until [s], shape (N, 2).
+    halts: dict[str, FloatArray] = field(default_factory=dict)
+    # The policy at its first step and when it has been learned for a moment; empty if unknown.
+    steering: tuple[SteeringMap, ...] = ()
+    # The best motion from the same start: time [s], x, y [m], theta [rad], shape (T, 4).
+    optimum: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class ShownRun:
+    """A run as a page shows it."""
+
+    name: str
+    charts: Charts
+    events: tuple[Event, ...] = ()
 
 
 def line_of(
-    name: str, time: FloatArray, values: FloatArray, buckets: int, background: bool = False
+    name: str,
+    time: FloatArray,
+    values: FloatArray,
+    buckets: int,
+    background: bool = False,
+    longest: float = math.inf,
 ) -> Line:
-    """Return the curve through values (N,) at times (N,) with at most 2 `buckets` + 2 points."""
+    """Return the curve through values (N,) at times (N,) with about 2 `buckets` points.
+
+    Where no value came for longer than `longest` [s], the curve has a gap.
+    """
     values = drawable(values)
-    kept = extremes(values, buckets)
-    return Line(name, time[kept], values[kept], background)
+    gaps = np.flatnonzero(np.diff(time) > longest)
+    kept = np.unique(np.concatenate([extremes(values, buckets), gaps, gaps + 1]))
+    behind = np.searchsorted(kept, gaps) + 1
+    return Line(
+        name,
+        np.insert(time[kept], behind, time[gaps]),
+        np.insert(values[kept], behind, np.nan),
+        background,
+    )
+
+
+def track_of(
+    path: FloatArray,
+    time: FloatArray,
+    poses: FloatArray,
+    cross_track: FloatArray,
+    *,
+    target: FloatArray | None = None,
+    color_limit: float,
+    points: int,
+    samples: int,
+) -> Track:
+    """Return the track through poses (N, 3) with every peak of its distance from the path.
+
+    `path` are the positions of the path's line, `target` those of the virtual target at N times.
+    """
+    kept = extremes(cross_track, points)
+    moving = np.unique(np.linspace(0, len(time) - 1, min(len(time), samples)).astype(int))
+    beside = np.full((len(time), 2), np.nan) if target is None else target
+    return Track(
+        path,
+        time[kept],
+        poses[kept, :2],
+        cross_track[kept],
+        color_limit,
+        time[moving],
+        poses[moving],
+        beside[moving],
+    )
 
 
 def drawable(values: FloatArray) -> FloatArray:

@@ -1,5 +1,9 @@
 """A page of figures and tables: one file that opens without network."""
 
+import base64
+import datetime
+import functools
+import gzip
 import hashlib
 from pathlib import Path as FilePath
 from typing import Any
@@ -10,16 +14,15 @@ from adp_path_follower.extras import require
 
 
 def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) -> None:
-    """Write a page: NAME.html.j2 shows `content`, and NAME.js the figures in `data`.
+    """Write a page: NAME.html.j2 shows `content`, and page.js the figures in `data`.
 
+    Library and data are compressed, which the browser undoes: the page is a third as large.
     Raises AdpError if it cannot be written, or Plotly or Jinja2 is missing.
     """
     require("the page", "report")
     import jinja2
-    from jinja2.utils import htmlsafe_json_dumps
     from markupsafe import Markup
     from plotly.io.json import to_json_plotly
-    from plotly.offline import get_plotlyjs
 
     folder = FilePath(__file__).parent / "templates"
     environment = jinja2.Environment(
@@ -29,16 +32,30 @@ def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) 
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    # `<`, `>` and `&` are written as \u003c and so on: no string of the data can end the script.
-    coded = htmlsafe_json_dumps(data, dumps=to_json_plotly)
+    coded = _packed(to_json_plotly(data))
     page = environment.get_template(f"{name}.html.j2").render(
         **content,
+        plays=bool(data.get("motions")),
         version=__version__,
+        made=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M"),
         # Only scripts that carry it run: one in the data's strings cannot know it.
         nonce=hashlib.sha256(coded.encode()).hexdigest()[:32],
-        style=Markup((folder / "report.css").read_text(encoding="utf-8")),  # noqa: S704  # ours
-        script=Markup((folder / f"{name}.js").read_text(encoding="utf-8")),  # noqa: S704  # ours
-        plotly=Markup(get_plotlyjs()),  # noqa: S704  # the library itself
+        style=Markup((folder / "page.css").read_text(encoding="utf-8")),  # noqa: S704  # ours
+        script=Markup((folder / "page.js").read_text(encoding="utf-8")),  # noqa: S704  # ours
+        library=_library(),
         data=coded,
     )
     write_output(file, page)
+
+
+@functools.cache
+def _library() -> str:
+    """Return Plotly's own script, compressed."""
+    from plotly.offline import get_plotlyjs
+
+    return _packed(get_plotlyjs())
+
+
+def _packed(text: str) -> str:
+    """Return a text compressed, in letters that mean nothing in HTML."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")

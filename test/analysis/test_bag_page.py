@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bag_messages import drive_on_line, learner_run, text, twist, write_bag
@@ -17,8 +19,13 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright is no
 
 from adp_path_follower.analysis.bag_analysis import analyse_bag
 from adp_path_follower.analysis.bag_page import write_report
-from adp_path_follower.analysis.events import KINDS
 from adp_path_follower.analysis.metrics import parse_requirement
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build
+from adp_path_follower.drawing.charts import KINDS
+from adp_path_follower.study.simulation.page import Table, shown_run, write_runs_page
+from adp_path_follower.study.simulation.simulate import simulate
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 ARGUMENTS = [
@@ -177,10 +184,14 @@ def test_the_slider_moves_the_robot_and_every_line(pages, browser):
     visit = open_page(browser, pages["one"])
     before = visit.robot()
     visit.page.focus("#time")
-    for _ in range(20):
+    for _ in range(20):  # samples of the odometry, each 10 ms
         visit.page.keyboard.press("ArrowRight")
-    time = float(visit.page.input_value("#time"))
-    assert time == pytest.approx(0.1 * 12.0, abs=0.05)
+    visit.page.keyboard.press("ArrowLeft")
+    samples = float(visit.page.input_value("#time"))
+    visit.page.keyboard.press("PageUp")
+    jump = float(visit.page.input_value("#time")) - samples
+    assert jump == pytest.approx(12.0 / 20, abs=0.05)
+    assert 19 * 0.009 < samples < 19 * 0.05
     assert visit.robot() != before
     visit.page.evaluate("document.getElementById('time').value = 6")
     visit.page.dispatch_event("#time", "input")
@@ -222,11 +233,74 @@ def test_only_a_target_that_was_recorded_is_drawn(visits):
 def test_play_runs_and_stops(pages, browser):
     visit = open_page(browser, pages["one"])
     visit.page.select_option("#speed", "1")  # for 12 s: the machine may be busy
-    visit.page.click("#play")
+    assert visit.page.evaluate("document.querySelector('button, a, input, select').id") == "play"
+    visit.page.locator("body").press(" ")
     assert visit.page.get_attribute("#play", "aria-pressed") == "true"
     visit.page.select_option("#speed", "20")
     visit.page.wait_for_selector("#play[aria-pressed=false]")
     assert float(visit.page.input_value("#time")) == pytest.approx(12.0, abs=0.01)
+
+
+def test_zoom_in_one_figure_zooms_time_in_all_and_the_vertical_axes_follow(pages, browser):
+    visit = open_page(browser, pages["one"])
+    axes = "document.getElementById('figure-%s')._fullLayout"
+    whole = visit.page.evaluate(f"{axes % 'errors'}.xaxis.range")
+    zoom = "Plotly.relayout(document.getElementById('figure-errors'), %s)"
+    visit.page.evaluate(zoom % "{'xaxis.range[0]': 8, 'xaxis.range[1]': 10}")
+    visit.page.wait_for_function(f"{axes % 'events'}.xaxis.range[0] === 8")
+    for figure in ("errors", "commands", "weights"):
+        assert visit.page.evaluate(f"{axes % figure}.xaxis.range") == [8, 10]
+    low, high = visit.page.evaluate(f"{axes % 'errors'}.yaxis.range")
+    shown = visit.page.evaluate(
+        "(() => { const { x, y } = document.getElementById('figure-errors')._fullData[0];"
+        " return [...y].filter((_, place) => x[place] >= 8 && x[place] <= 10); })()"
+    )
+    assert low <= min(shown) <= max(shown) <= high
+    assert high - low < 1.2 * (max(shown) - min(shown)) + 1e-9
+    visit.page.evaluate(zoom % "{'xaxis.autorange': true}")
+    visit.page.wait_for_function(f"{axes % 'events'}.xaxis.range[0] === {whole[0]}")
+
+
+def test_the_first_screen_says_what_came_out(visits):
+    """The verdict, the chief numbers, and the policy before and after the first learning."""
+    visit = visits("one", "wide", "light")
+    text = visit.page.inner_text("header")
+    assert "value function of an optimal control problem" in text
+    assert "of the path were driven" in text
+    assert visit.page.locator(".cards li").count() == 6
+    assert "mm" in visit.page.inner_text(".cards li:nth-child(2) .number")
+
+
+def test_simulated_runs_start_together_and_their_table_sorts(browser, tmp_path):
+    """The page of `adp compare` and of `adp simulate --report`."""
+    settings = build(Settings, {"learning": False, "wide_region": "none"})
+    path, starts = named_path("line"), np.array([[0.0, 0.4, 0.0], [-0.5, -0.2, 0.3]])
+    result = simulate(settings, path, starts, duration=3.0, record=True)
+    names = ("left", "behind")
+    runs = [
+        shown_run(name, path, settings, result.trajectories, run, 2)
+        for run, name in enumerate(names)
+    ]
+    rows = tuple(
+        ((name, math.nan), (f"{cost:.4f}", cost))
+        for name, cost in zip(names, result.cost.tolist(), strict=True)
+    )
+    file = tmp_path / "runs.html"
+    write_runs_page(file, "Two runs", "About.", "adp", runs, Table(("start", "J"), rows))
+    visit = open_page(browser, file, "narrow")
+    assert (visit.said, visit.asked) == ([], [file.as_uri()])
+    spent = visit.page.evaluate(
+        "document.getElementById('figure-cost')._fullData.map((trace) => trace.y.at(-1))"
+    )
+    assert spent == pytest.approx(result.cost, rel=0.01)
+    cells = visit.page.locator("#table tbody td")
+    for turn in (1, -1):
+        visit.page.click("#table th >> text=J")
+        assert cells.all_inner_texts() == [f"{cost:.4f}" for cost in sorted(result.cost)[::turn]]
+    before = visit.robot()
+    visit.page.focus("#time")
+    visit.page.keyboard.press("ArrowRight")
+    assert visit.robot() != before
 
 
 def test_strings_of_a_bag_do_nothing(pages, browser):

@@ -230,7 +230,8 @@ def test_a_curve_has_one_colour_on_the_page_and_in_the_picture(tmp_path):
     pytest.importorskip("plotly", reason="the report needs the extra 'report'")
     from matplotlib.colors import to_hex
 
-    from adp_path_follower.analysis import bag_pngs, page_figures
+    from adp_path_follower.analysis import bag_pngs
+    from adp_path_follower.drawing import page_figures
 
     found = analysed(tmp_path, learner_run())
     traces = page_figures.page_figures([found])["weights"]["data"]

@@ -18,7 +18,7 @@ from adp_path_follower.cli.options import (
     settings_options,
     topic_options,
 )
-from adp_path_follower.cli.outputs import output_directory, write_json
+from adp_path_follower.cli.outputs import output_directory, page_address, write_json
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.extras import require
@@ -101,6 +101,7 @@ def analyze(
     for text in missed:
         click.echo(f"adp: {text}", err=True)
     click.echo(f"\nIn {directory}: report.html, metrics.json, figures/, trajectory*.tum")
+    click.echo(page_address(directory / "report.html"))
     sys.exit(1 if missed else 0)
 
 

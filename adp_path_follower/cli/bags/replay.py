@@ -18,7 +18,12 @@ from adp_path_follower.cli.options import (
     settings_options,
     topic_options,
 )
-from adp_path_follower.cli.outputs import check_figure, check_writable, output_directory
+from adp_path_follower.cli.outputs import (
+    check_figure,
+    check_writable,
+    output_directory,
+    page_address,
+)
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
@@ -50,6 +55,7 @@ from adp_path_follower.study.replay.write_bag import write_replay
 )
 @click.option("--csv", "csv_file", type=FILE, metavar="FILE.csv", help="Write both commands.")
 @click.option("--figure", "figure_file", type=FILE, metavar="FILE.png", help="Draw both commands.")
+@click.option("--report", is_flag=True, help="Write bag and report also where nothing was changed.")
 @click.option(
     "--republish",
     is_flag=True,
@@ -74,6 +80,7 @@ def replay(
     directory: FilePath | None,
     csv_file: FilePath | None,
     figure_file: FilePath | None,
+    report: bool,
     republish: bool,
     rate: float,
 ) -> None:
@@ -101,7 +108,7 @@ def replay(
     settings, overlay = _wanted(params, assignments)
     changed = settings is not None or bool(overlay)
     name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
-    is_kept = directory is not None or closed_loop or changed
+    is_kept = directory is not None or closed_loop or changed or report
     output = output_directory(directory or FilePath(name)) if is_kept else contextlib.nullcontext()
     with output as folder:
         velocity: FloatArray | None = None
@@ -129,7 +136,7 @@ def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
     rules: list[tuple[str, tuple[str, ...]]] = []
     if republish:
         reason = "--republish plays what was recorded to a controller with settings of its own"
-        settings = ("params", "assignments", "closed_loop", "directory")
+        settings = ("params", "assignments", "closed_loop", "directory", "report")
         rules.append((reason, (*settings, *comparisons)))
     else:
         rules.append(("without --republish nothing is played", ("rate",)))
@@ -205,6 +212,7 @@ def _write_report(
             analyses.append(analyse_bag(source.resolve(), names, 2, file, progress))
     write_report(analyses, [], directory / "report.html")
     click.echo(f"In {directory}: report.html, {replayed.name}/ (rosbag2, MCAP), trajectory_*.tum")
+    click.echo(page_address(directory / "report.html"))
 
 
 def _report(run: Run, found: Replay, weights: ComparedWeights | None) -> str:

@@ -16,9 +16,11 @@ from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.speed_profile import speed_varies
 from adp_path_follower.core.robot.model import IDEAL
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.drawing.charts import ShownRun
 from adp_path_follower.study.comparison.controllers import Contender, contenders
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
 from adp_path_follower.study.optimum.problem import OptimumError
+from adp_path_follower.study.simulation.page import shown_run
 from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings
@@ -43,6 +45,7 @@ class Outcome:
         lap_time: Times of the lap after its first 10 s [s], shape (T,); T = 0 if the path ends.
         cross_track: Distance from the path then, positive to the left [m], shape (T,).
         step_time: Median computing time of one control step of one robot [s].
+        lap: The lap as a page shows it.
 
     """
 
@@ -55,6 +58,7 @@ class Outcome:
     lap_time: FloatArray
     cross_track: FloatArray
     step_time: float
+    lap: ShownRun
 
     def quantile(self, share: float) -> float:
         """Return a quantile of J/J* over the starts with a known optimum; a failure is infinite.
@@ -172,7 +176,8 @@ def compare(
             controller=item.factory,
         )
         lap = _lap(path, start_arc_length, item.settings.target.desired_speed)
-        outcomes.append(_outcome(item, run, path, starts, duration, lap, optimal, advance))
+        found = _outcome(item, run, path, starts, duration, lap, optimal, len(chosen), advance)
+        outcomes.append(found)
     notes = _notes(starts, optima, duration)
     return Comparison(path_name, starts, optimal, tuple(problems), notes, tuple(outcomes))
 
@@ -232,6 +237,7 @@ def _outcome(
     duration: float,
     lap: float,
     optimal: FloatArray,
+    among: int,
     progress: Callable[[float], None],
 ) -> Outcome:
     known = np.isfinite(starts).all(axis=1)
@@ -264,4 +270,5 @@ def _outcome(
         lap_time=single.trajectories.time[counted],
         cross_track=project(path, single.trajectories.pose[0]).cross_track[counted],
         step_time=single.step_time,
+        lap=shown_run(item.name, path, item.settings, single.trajectories, among=among),
     )

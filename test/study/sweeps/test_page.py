@@ -154,4 +154,6 @@ def test_the_page_opens_without_network_and_without_errors(sweep, tmp_path):
 
 def test_the_files_of_the_page_are_installed():
     folder = ROOT / "adp_path_follower" / "drawing" / "templates"
-    assert {"sweep.html.j2", "sweep.js", "report.css"} <= {file.name for file in folder.iterdir()}
+    assert {"sweep.html.j2", "base.html.j2", "page.js", "page.css"} <= {
+        file.name for file in folder.iterdir()
+    }

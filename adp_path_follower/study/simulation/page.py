@@ -1,0 +1,112 @@
+"""Simulated runs on a page: all start together on one map."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from adp_path_follower.core.control.cost import RunningCost
+from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.drive import project
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.criteria import transient
+from adp_path_follower.drawing.charts import (
+    Charts,
+    Line,
+    Panel,
+    ShownRun,
+    line_of,
+    path_line,
+    track_of,
+)
+from adp_path_follower.study.simulation.trajectories import Trajectories
+
+_BUCKETS = 2500  # of a curve, shared by the runs
+_POINTS, _SAMPLES = 1500, 6000  # of a track and of a motion, likewise
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that the reader can sort."""
+
+    columns: tuple[str, ...]  # the first names a run
+    rows: tuple[tuple[tuple[str, float], ...], ...]  # text and number of each cell but the first
+
+
+def shown_run(
+    name: str,
+    path: Path,
+    settings: Settings,
+    found: Trajectories,
+    run: int = 0,
+    among: int = 1,
+) -> ShownRun:
+    """Return a run of simulated ones as a page shows it, `among` so many."""
+    time, pose, beside = found.time, found.pose[run], project(path, found.pose[run])
+    running = RunningCost(settings.cost)(found.error[run], found.modified_input[run])
+    spent = cumulative_trapezoid(np.nan_to_num(running), time, initial=0.0)
+    buckets = max(150, _BUCKETS // among)
+
+    def line(label: str, values: FloatArray) -> tuple[Line, ...]:
+        return (line_of(label, time, values, buckets),)
+
+    limits = settings.limits
+    panels = {
+        "distance": (Panel("cross-track [mm]", line("cross-track", 1e3 * beside.cross_track)),),
+        "cost": (Panel("J so far", line("J", spent)),),
+        "commands": (
+            Panel(
+                "v [m/s]",
+                line("v", found.command[run, :, 0]),
+                (limits.min_linear_vel, limits.max_linear_vel),
+                steps=True,
+            ),
+            Panel(
+                "ω [rad/s]",
+                line("ω", found.command[run, :, 1]),
+                (-limits.max_angular_vel, limits.max_angular_vel),
+                steps=True,
+            ),
+        ),
+    }
+    late = np.abs(beside.cross_track[time >= transient(float(time[-1]))])
+    track = track_of(
+        path_line([path], among),
+        time,
+        pose,
+        beside.cross_track,
+        color_limit=max(1e-6, float(np.quantile(late, 0.95)) if len(late) else 0.0),
+        points=max(200, _POINTS // among),
+        samples=max(500, _SAMPLES // among),
+    )
+    return ShownRun(name, Charts(track, panels))
+
+
+def write_runs_page(
+    file: FilePath, title: str, about: str, maker: str, runs: Sequence[ShownRun], table: Table
+) -> None:
+    """Write the page of runs that start together; raise AdpError if it cannot be written."""
+    from adp_path_follower.drawing.figure_style import color
+    from adp_path_follower.drawing.page import write_page
+    from adp_path_follower.drawing.page_figures import distance_scales, motions, page_figures
+
+    captions = (
+        ("track", "The race", "Every arrow is a robot at the time of the slider below."),
+        ("distance", "Distance from the path", "Positive to the left of the path."),
+        ("cost", "Cost so far", "∫ eᵀQe + uᵀRu from the start: the lowest curve is the best."),
+        ("commands", "Commands", "Each holds until the next; the dashed lines are the limits."),
+    )
+    write_page(
+        file,
+        "runs",
+        {"figures": page_figures(runs), "motions": motions(runs), "scales": distance_scales()},
+        title=title,
+        about=about,
+        maker=maker,
+        names=[(run.name, color(index)) for index, run in enumerate(runs)],
+        captions=captions,
+        table=table,
+    )
