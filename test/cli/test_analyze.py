@@ -10,6 +10,7 @@ import re
 from pathlib import Path as FilePath
 
 import pytest
+from pages import page_data
 
 from adp_path_follower.analysis.metrics import METRIC_NAMES, parse_requirement, with_states
 from adp_path_follower.core.errors import AdpError
@@ -145,7 +146,7 @@ def test_bags_of_the_same_name_are_told_apart(tmp_path):
     content = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert [bag["name"] for bag in content["bags"]] == ["slow/bag", "fast/bag"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    groups = re.findall(r'"legendgroup":"([^"]*)"', page)
+    groups = re.findall(r'"legendgroup":"([^"]*)"', page_data(page))
     assert len(set(groups)) == 2
     assert groups.count(groups[0]) == len(groups) / 2
 
