@@ -31,7 +31,7 @@ from sim_unicycle.settings import SimulatorSettings
 if TYPE_CHECKING:
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
 
-_TO_BEGIN = 1.0  # [s] from rest or from a start beside the path
+_TO_ARRIVE = 20.0  # [s] that a robot may need longer to the end of its path
 
 
 @click.command()
@@ -42,7 +42,7 @@ _TO_BEGIN = 1.0  # [s] from rest or from a start beside the path
 @click.option(
     "--duration",
     type=click.FloatRange(1.0, 3600.0),
-    help="Simulated time [s]; one lap at the desired speed if it is not given.",
+    help="Simulated time [s]; without it, one lap or the whole path.",
 )
 @click.option("--open", "open_page", is_flag=True, help="Open the page in a browser at the end.")
 def demo(
@@ -76,7 +76,8 @@ def demo(
     new_directory(directory)
     started = time.monotonic()
     if duration is None:
-        duration = _TO_BEGIN + path.length / settings.target.desired_speed
+        duration = path.length / settings.target.desired_speed
+        duration += 0.0 if path.closed else _TO_ARRIVE
     bag = _run(settings, simulator, path, path_name, duration, directory)
     page = _report(bag, directory, duration, time.monotonic() - started)
     if page is not None:
