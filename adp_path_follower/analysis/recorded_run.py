@@ -164,11 +164,7 @@ def _projection(
                 segment.heading_of_path(target[rows]),
             )
         )
-    return Projection(
-        np.concatenate([part.arc_length for part in parts]),
-        np.concatenate([part.cross_track for part in parts]),
-        np.concatenate([part.heading for part in parts]),
-    )
+    return Projection.joined(parts)
 
 
 def _target_at(time: FloatArray, target: Timed | None) -> FloatArray:

@@ -74,12 +74,7 @@ def project(
     away = np.hypot(*(led - poses)[:, :2].T)
     arc_length = _between(path, poses, anchors, places, away)
     pieces = [slice(at, at + _PIECE) for at in range(0, len(poses), _PIECE)]
-    found = [_exact(path, poses[rows], arc_length[rows]) for rows in pieces]
-    return Projection(
-        np.concatenate([part.arc_length for part in found]),
-        np.concatenate([part.cross_track for part in found]),
-        np.concatenate([part.heading for part in found]),
-    )
+    return Projection.joined([_exact(path, poses[rows], arc_length[rows]) for rows in pieces])
 
 
 def _led(path: Path, poses: FloatArray, target: FloatArray) -> FloatArray:

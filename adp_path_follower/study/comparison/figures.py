@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,6 +42,7 @@ def _cost(found: Comparison) -> Figure:
 def draw_cost(axes: Axes, found: Comparison) -> None:
     """Draw each start's loss J/J* - 1, the controllers in the order of their medians."""
     ranked = sorted(found.outcomes, key=lambda outcome: -outcome.quantile(0.5))
+    beside = axes.get_yaxis_transform()  # of the axes across, of the data upwards
     random = np.random.default_rng(0)  # of the jitter, so that the same numbers look the same
     for row, outcome in enumerate(ranked):
         loss = np.maximum(outcome.cost_ratio[np.isfinite(outcome.cost_ratio)] - 1.0, _LEAST_LOSS)
@@ -50,13 +52,7 @@ def draw_cost(axes: Axes, found: Comparison) -> None:
             axes.plot(np.median(loss), row, "|", color="k", markersize=14, markeredgewidth=2)
         failures = int(outcome.failed.sum())
         if failures:
-            axes.annotate(
-                f"{failures} failed",
-                (1.0, row),
-                xycoords=("axes fraction", "data"),
-                ha="right",
-                va="center",
-            )
+            axes.text(1.0, row, f"{failures} failed", ha="right", va="center", transform=beside)
     axes.set_yticks(range(len(ranked)), [outcome.name for outcome in ranked])
     axes.set_ylim(-0.5, len(ranked) - 0.5)  # those of whom nothing is drawn, too
     _logarithmic(axes, x=any(np.isfinite(outcome.cost_ratio).any() for outcome in ranked))
@@ -90,13 +86,8 @@ def _cross_track(found: Comparison) -> Figure:
     ):
         for color, outcome in zip(COLORS, group, strict=False):
             label = f"{outcome.name}, RMS {factor * outcome.cross_track_rms:.2g} {unit}"
-            axes.plot(
-                outcome.lap_time,
-                factor * outcome.cross_track,
-                color=color,
-                linewidth=1,
-                label=label,
-            )
+            distance = factor * outcome.cross_track
+            axes.plot(outcome.lap_time, distance, color=color, linewidth=1, label=label)
         axes.set_ylabel(f"cross-track error [{unit}]")
         if group:
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
@@ -122,15 +113,8 @@ def _cost_per_step(found: Comparison) -> Figure:
         axes.plot(*place, "o", color=_color(outcome.name))
         # Neighbours get their names on different sides.
         side, offset = ("left", 6) if number % 2 else ("right", -6)
-        axes.annotate(
-            outcome.name,
-            place,
-            textcoords="offset points",
-            xytext=(offset, 0),
-            ha=side,
-            va="center",
-            fontsize=8,
-        )
+        written: dict[str, Any] = {"ha": side, "va": "center", "fontsize": 8}
+        axes.annotate(outcome.name, place, (offset, 0), textcoords="offset points", **written)
     drawn = any(math.isfinite(outcome.quantile(0.95)) for outcome in ranked)
     _logarithmic(axes, x=drawn, y=drawn)
     if drawn:

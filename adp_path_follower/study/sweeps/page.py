@@ -33,7 +33,7 @@ def write_sweep_page(found: Results, title: str, file: FilePath) -> None:
     write_page(
         file,
         "sweep",
-        {"figures": figures},
+        {"figures": {key: figure for key, (*_, figure) in figures.items()}},
         title=title,
         found=found,
         conditions=found.request.conditions,
@@ -41,7 +41,7 @@ def write_sweep_page(found: Results, title: str, file: FilePath) -> None:
         objectives=[OBJECTIVES[name] for name in found.request.objectives],
         rows=[_row(found, trial) for trial in found.stable[:_ROWS]],
         front=[_row(found, trial) for trial in found.front[:_ROWS]],
-        captions=[(key, *_caption(key, figures[key], found)) for key in figures],
+        captions=[(key, title, caption) for key, (title, caption, _) in figures.items()],
         number=shown,
         where_known=WHERE_KNOWN,
     )
@@ -53,42 +53,39 @@ def _row(found: Results, trial: FrozenTrial) -> list[str]:
     return [*map(shown, found.values(trial).values()), *numbers]
 
 
-def _caption(key: str, figure: dict, found: Results) -> tuple[str, str]:
-    if key == "pareto":
+def sweep_figures(found: Results) -> dict[str, tuple[str, str, dict[str, Any]]]:
+    """Return key -> title, caption and figure (data and layout), in the order of the page."""
+    figures: dict[str, tuple[str, str, go.Figure]] = {}
+    if len(found.request.objectives) > 1 and found.stable:
         first, second = found.request.objectives[:2]
-        return (
+        figures["pareto"] = (
             "Pareto front",
             f"Each point is a combination of settings that is stable in all its runs: {first} "
             f"({OBJECTIVES[first].meaning}) against {second} ({OBJECTIVES[second].meaning}). No "
             "point is better in all objectives than a point of the front.",
+            _pareto(found),
         )
-    layout, (name, _, caption) = figure["layout"], _measure(found)
-    across = str(layout["xaxis"]["title"]["text"])
-    up = str(layout["yaxis"]["title"]["text"])
-    if up == name:
-        return (f"{name} over {across}", f"{caption}: the median at each value.")
-    return (
-        f"{name} over {across} and {up}",
-        f"{caption}: the median over everything else that varies; empty where there is none. "
-        "Point at a field to read the number of combinations.",
-    )
-
-
-def sweep_figures(found: Results) -> dict[str, Any]:
-    """Return key -> figure (data and layout), in the order of the page."""
-    figures: dict[str, go.Figure] = {}
-    if len(found.request.objectives) > 1 and found.stable:
-        figures["pareto"] = _pareto(found)
-    name, values, _ = _measure(found)
+    name, values, caption = _measure(found)
     axes = [_Axis(item, found) for item in found.importance]
     if len(axes) == 1:
-        figures["map_1"] = _curve(name, values, axes[0])
+        title, caption = f"{name} over {axes[0].name}", f"{caption}: the median at each value."
+        figures["map_1"] = (title, caption, _curve(name, values, axes[0]))
     pairs = sorted(itertools.combinations(range(len(axes)), 2), key=sum)[:_MOST_MAPS]
-    for number, (first, second) in enumerate(pairs, start=1):
-        figures[f"map_{number}"] = _heat_map(name, values, axes[first], axes[second])
-    content = {key: figure.to_dict() for key, figure in figures.items()}
-    for item in content.values():
-        item["layout"].pop("template", None)  # the page has its own colours
+    for number, (across, up) in enumerate(pairs, start=1):
+        figures[f"map_{number}"] = (
+            f"{name} over {axes[across].name} and {axes[up].name}",
+            f"{caption}: the median over everything else that varies; empty where there is none. "
+            "Point at a field to read the number of combinations.",
+            _heat_map(name, values, axes[across], axes[up]),
+        )
+    return {
+        key: (title, caption, _content(figure)) for key, (title, caption, figure) in figures.items()
+    }
+
+
+def _content(figure: go.Figure) -> dict[str, Any]:
+    content: dict[str, Any] = figure.to_dict()
+    content["layout"].pop("template", None)  # the page has its own colours
     return content
 
 
