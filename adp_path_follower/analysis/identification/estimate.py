@@ -10,17 +10,10 @@ from adp_path_follower.core.geometry import FloatArray
 
 @dataclass(frozen=True)
 class Estimate:
-    """Values and standard deviations, shape (M,) each."""
+    """Values and half-widths of their intervals of 95 %, shape (M,) each."""
 
     values: FloatArray
-    deviations: FloatArray
-    factor: float  # of the deviations, for an interval of 95 %
-
-    def interval(self, index: int) -> tuple[float, float]:
-        """Return the interval of 95 % of one value."""
-        half = self.factor * float(self.deviations[index])
-        value = float(self.values[index])
-        return value - half, value + half
+    room: FloatArray
 
 
 def estimate(
@@ -30,19 +23,23 @@ def estimate(
     block: np.ndarray,
     unknown: FloatArray,
 ) -> Estimate:
-    """Return fitted values (M,) with deviations.
+    """Return better values (M,), by one step of least squares, with intervals.
 
-    Errors (N,) are in standard deviations, slopes (N, M) their changes with the values. Errors of
-    one block (N,) may hang together, those of two may not: the sum of the outer products of the
-    blocks' gradients is the covariance of the whole gradient. It counts unless a fit of independent
-    errors is less sure; `unknown` (M,) are the deviations before any drive.
+    Errors (N,) are those of the values, slopes (N, M) their changes. Errors of one block (N,) may
+    hang together, those of two may not: the sum of the outer products of the blocks' gradients is
+    the covariance of the whole gradient. It counts unless a fit of independent errors is less sure;
+    `unknown` (M,) are the deviations before any drive.
     """
-    information = slopes.T @ slopes + np.diag(unknown**-2.0)
-    covariance = np.linalg.inv(information)
+    for _ in range(2):  # the second time with the size of the errors that remain
+        size = max(float(np.sqrt(np.mean(errors**2))), 1e-4)
+        covariance = np.linalg.inv(slopes.T @ slopes / size**2 + np.diag(unknown**-2.0))
+        step = covariance @ slopes.T @ errors / size**2
+        values, errors = values - step, errors - slopes @ step
+    errors, slopes = errors / size, slopes / size
     _, rows = np.unique(block, return_inverse=True)
-    count = int(rows.max()) + 1 if len(rows) else 0
-    gradients = np.zeros((count, len(values)))
+    gradients = np.zeros((rows.max() + 1, len(values)))
     np.add.at(gradients, rows, errors[:, None] * slopes)
     clustered = covariance @ (gradients.T @ gradients) @ covariance
-    deviations = np.sqrt(np.maximum(np.diag(covariance), np.diag(clustered)))
-    return Estimate(values, deviations, float(student.ppf(0.975, max(2, count - len(values)))))
+    factor = student.ppf(0.975, max(2, len(gradients) - len(values)))
+    room = factor * np.sqrt(np.maximum(np.diag(covariance), np.diag(clustered)))
+    return Estimate(values, room)

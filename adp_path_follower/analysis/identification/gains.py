@@ -15,6 +15,7 @@ _FEWEST = 6  # messages in a window
 _GAP = 1.0  # [s] without odometry, after which a window cannot go on
 _WORSE = 5.0  # times the usual error of a window that slipped, or whose pose jumped
 _LEAST = 1e-4  # [m, rad] of noise, so that a simulated robot has some
+_IDEAL = np.array([1.0, 1.0, 0.0])  # k_v, k_w, b
 _UNKNOWN = np.array([0.1, 0.1, 0.1])  # standard deviations of what no drive has told
 
 
@@ -48,36 +49,39 @@ def fit_gains(recordings: Sequence[Recording]) -> Gains:
     """Return the gains and the bias that bring encoders and poses together best."""
     windows = [window for recording in recordings for window in _windows(recording)]
     if not windows:
-        unknown = Estimate(np.array([1.0, 1.0, 0.0]), _UNKNOWN, 2.0)
-        return Gains(unknown, np.full(2, math.nan))
+        return Gains(Estimate(_IDEAL, 2.0 * _UNKNOWN), np.full(2, math.nan))
     turning = _turning(windows)
-    sizes = np.array([np.std(item.missed(turning)) for item in windows])
-    kept = sizes <= _WORSE * max(float(np.median(sizes)), _LEAST)
-    windows = [item for item, sound in zip(windows, kept, strict=True) if sound]
+    sizes = np.array([np.std(item.missed(turning.values)) for item in windows])
+    usual = max(float(np.median(sizes)), _LEAST)
+    windows = [item for item, size in zip(windows, sizes, strict=True) if size <= _WORSE * usual]
     turning = _turning(windows)
-    missed = [item.missed(turning) for item in windows]
-    ways = [item.way(turning) for item in windows]
+    ways = [item.way(turning.values) for item in windows]
     way, place = np.concatenate(ways), np.concatenate([item.place for item in windows])
-    gain = float((way.conj() @ place).real / max(float((way.conj() @ way).real), 1e-12))
-    astray = [item.place - gain * found for item, found in zip(windows, ways, strict=True)]
-    block = np.repeat(np.arange(len(windows)), [len(item) for item in missed])
-    turns = estimate(
-        turning,
-        *_scaled(np.concatenate(missed), np.concatenate([item.turned for item in windows])),
-        block,
-        _UNKNOWN[1:],
-    )
-    error = np.concatenate(astray)
-    ahead = estimate(
-        np.array([gain]),
-        *_scaled(np.append(error.real, error.imag), np.append(way.real, way.imag)[:, None]),
-        np.tile(block, 2),
+    error = way - place
+    gain = estimate(
+        _IDEAL[:1],
+        np.append(error.real, error.imag),
+        np.append(way.real, way.imag)[:, None],
+        np.tile(_blocks(windows), 2),
         _UNKNOWN[:1],
     )
-    values = Estimate(
-        np.append(gain, turning), np.append(ahead.deviations, turns.deviations), turns.factor
+    astray = [item.place - gain.values * way for item, way in zip(windows, ways, strict=True)]
+    missed = [item.missed(turning.values) for item in windows]
+    return Gains(
+        Estimate(np.append(gain.values, turning.values), np.append(gain.room, turning.room)),
+        np.array([_noise(astray) / math.sqrt(2.0), _noise(missed)]),
     )
-    return Gains(values, np.array([_noise(astray) / math.sqrt(2.0), _noise(missed)]))
+
+
+def _turning(windows: Sequence[_Window]) -> Estimate:
+    """Return k_w and b by least squares, near 1 and 0 where the drive does not tell."""
+    missed = np.concatenate([item.missed(_IDEAL[1:]) for item in windows])
+    turned = np.concatenate([item.turned for item in windows])
+    return estimate(_IDEAL[1:], -missed, turned, _blocks(windows), _UNKNOWN[1:])
+
+
+def _blocks(windows: Sequence[_Window]) -> np.ndarray:
+    return np.repeat(np.arange(len(windows)), [len(item.place) for item in windows])
 
 
 def _windows(recording: Recording) -> list[_Window]:
@@ -97,21 +101,6 @@ def _windows(recording: Recording) -> list[_Window]:
             _Window(place - place.mean(), recording.poses[rows, 2], turned - turned.mean(axis=0))
         )
     return found
-
-
-def _turning(windows: Sequence[_Window]) -> FloatArray:
-    """Return k_w and b by least squares, near 1 and 0 where the drive does not tell, shape (2,)."""
-    turned = np.concatenate([item.turned for item in windows])
-    missed = np.concatenate([item.missed(np.array([1.0, 0.0])) for item in windows])
-    weak = (1e-3 / _UNKNOWN[1:]) ** 2
-    change = np.linalg.solve(turned.T @ turned + np.diag(weak), turned.T @ missed)
-    return np.array([1.0, 0.0]) + change
-
-
-def _scaled(errors: FloatArray, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return errors and slopes in standard deviations of the errors."""
-    size = max(float(np.sqrt(np.mean(errors**2))), _LEAST)
-    return errors / size, slopes / size
 
 
 def _noise(errors: Sequence[FloatArray]) -> float:

@@ -3,33 +3,32 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import yaml
 from scipy.stats import chi2
 
-from adp_path_follower.analysis.identification.estimate import Estimate
 from adp_path_follower.analysis.identification.gains import fit_gains
 from adp_path_follower.analysis.identification.recording import Recording
 from adp_path_follower.analysis.identification.response import fit_response, modelled
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.robot.model import RobotModel
 from adp_path_follower.core.robot.robot import settings_of
-from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.core.settings.schema import build, flatten, yaml_text
-from sim_unicycle.settings import SimulatorSettings
 
 _LITTLE = 0.5  # share of the velocities; a model that explains less is none
 _RECKONED = 1e-3  # [m]: a localised pose has more noise, beside the encoders
-_WELL = {"delay": 0.05, "linear lag": 0.08, "angular lag": 0.08, "k_v": 0.03, "k_w": 0.05}
-_WELL["bias"] = 0.03
-# Parameter -> its unit, and the drive that would tell it.
+_NOISES = {"noise of v": "m/s", "noise of w": "rad/s", "noise of x, y": "m"}
+_NOISES["noise of heading"] = "rad"
+_SLALOM = "turn to both sides, as in a slalom"
+# Parameter -> its unit, how wide half its interval may be, and the drive that would tell it.
 _DRIVES = {
-    "delay": ("s", "start, stop and turn to both sides"),
-    "linear lag": ("s", "start and stop several times"),
-    "angular lag": ("s", "turn to both sides, as in a slalom"),
-    "k_v": ("", "drive some metres with a localised pose"),
-    "k_w": ("", "turn to both sides, as in a slalom"),
-    "bias": ("rad/m", "drive straight as well as turns to both sides"),
+    "delay": ("s", 0.05, "start, stop and turn to both sides"),
+    "linear lag": ("s", 0.08, "start and stop several times"),
+    "angular lag": ("s", 0.08, _SLALOM),
+    "k_v": ("", 0.03, "drive some metres with a localised pose"),
+    "k_w": ("", 0.05, _SLALOM),
+    "bias": ("rad/m", 0.03, "drive straight as well as turns to both sides"),
 }
 
 
@@ -67,10 +66,10 @@ class Identification:
         found = (item.value for item in self.parameters if item.name == name and not item.drive)
         return next(found, math.nan)
 
-    def yaml(self) -> str:
+    def parameter_file(self) -> str:
         """Return parameter files of a controller that is given the model, and of a simulator."""
-        model, robot = self.model, {"robot_model": "given", **settings_of(self.model)}
-        simulated: dict[str, object] = {
+        model = self.model
+        simulated = {
             "command_ramp": model.ramp,
             "command_delay": model.delay,
             "velocity_lag": model.linear_lag,
@@ -78,45 +77,46 @@ class Identification:
             "gains": (model.linear_gain, model.angular_gain),
             "bias": model.bias,
             "encoder_noise": (self.value("noise of v"), self.value("noise of w")),
+            "position_noise": self.value("noise of x, y"),
+            "heading_noise": self.value("noise of heading"),
+            "odometry_rate": self.value("odometry rate"),
+            "odometry_delay": self.value("odometry latency"),
+            "odometry_jitter": self.value("odometry jitter"),
         }
-        for name, key in (
-            ("position_noise", "noise of x, y"),
-            ("heading_noise", "noise of heading"),
-            ("odometry_rate", "odometry rate"),
-            ("odometry_delay", "odometry latency"),
-            ("odometry_jitter", "odometry jitter"),
-        ):
-            if math.isfinite(self.value(key)):
-                simulated[name] = self.value(key)
-        text = _section("path_follower", Settings, robot)
-        return text + _section("unicycle_sim", SimulatorSettings, simulated)
+        sections = {"path_follower": settings_of(model), "unicycle_sim": simulated}
+        content = {
+            f"/**/{node}": {"ros__parameters": _rounded(values)}
+            for node, values in sections.items()
+        }
+        return yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
 
 
-def _section(node: str, tree: type, values: dict[str, object]) -> str:
-    """Return a node's section of a parameter file; SettingsError for what it does not take."""
-    rounded = {name: _rounded(value) for name, value in values.items()}
-    known = flatten(build(tree, rounded))
-    lines = [f"/**/{node}:", "  ros__parameters:"]
-    return "\n".join([*lines, *(f"    {name}: {yaml_text(known[name])}" for name in values), ""])
-
-
-def _rounded(value: object) -> object:
+def _rounded(value: Any) -> Any:
+    """Return numbers with five digits, without those that are not known."""
+    if isinstance(value, dict):
+        known = {name: item for name, item in value.items() if item == item}
+        return {name: _rounded(item) for name, item in known.items()}
     if isinstance(value, tuple):
-        return tuple(_rounded(item) for item in value)
+        return [_rounded(item) for item in value]
     return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def identify(recordings: Sequence[Recording]) -> Identification:
     """Return the robot of some recordings of it."""
     response, gains = fit_response(recordings), fit_gains(recordings)
-    names = tuple(_WELL)
-    parts = [*(_named(name, response.values, at) for at, name in enumerate(names[:3]))]
-    parts += [_named(name, gains.values, at) for at, name in enumerate(names[3:])]
+    found = zip(
+        _DRIVES,
+        np.append(response.values.values[:3], gains.values.values).tolist(),
+        np.append(response.values.room[:3], gains.values.room).tolist(),
+        strict=True,
+    )
+    parts = [_named(name, value, room) for name, value, room in found]
     told = {item.name: item.value for item in parts if not item.drive}
-    slow, (least, most) = float(response.values.values[3]), response.values.interval(3)
-    ramped = least > 0.0 and slow > 0.02 and "linear lag" in told
+    slow, room = float(response.values.values[3]), float(response.values.room[3])
+    ramped = slow > max(1.5 * room, 0.02) and "linear lag" in told
     if ramped:
-        parts.insert(3, Parameter("ramp", "m/s²", 1.0 / slow, 1.0 / most, 1.0 / least))
+        ramp = Parameter("ramp", "m/s²", 1.0 / slow, 1.0 / (slow + room), 1.0 / (slow - room))
+        parts.insert(3, ramp)
     model = RobotModel(
         delay=told.get("delay", 0.0),
         linear_lag=told.get("linear lag", 0.0),
@@ -126,10 +126,9 @@ def identify(recordings: Sequence[Recording]) -> Identification:
         angular_gain=told.get("k_w", 1.0),
         bias=told.get("bias", 0.0),
     )
+    sizes = zip(_NOISES.items(), (*response.noise, *gains.noise), strict=True)
     count = sum(len(item.time) for item in recordings)
-    noises = (*zip(("noise of v", "noise of w"), ("m/s", "rad/s"), response.noise, strict=True),)
-    noises += (*zip(("noise of x, y", "noise of heading"), ("m", "rad"), gains.noise, strict=True),)
-    parts += [_deviation(name, unit, size, count) for name, unit, size in noises]
+    parts += [_deviation(name, unit, float(size), count) for (name, unit), size in sizes]
     parts += _odometry(recordings)
     notes = [note for item in recordings for note in item.notes]
     excited = [name in told for name in ("linear lag", "angular lag")]
@@ -154,14 +153,11 @@ def identify(recordings: Sequence[Recording]) -> Identification:
     )
 
 
-def _named(name: str, found: Estimate, index: int) -> Parameter:
+def _named(name: str, value: float, room: float) -> Parameter:
     """Return a parameter of the model, or which drive would tell it."""
-    unit, drive = _DRIVES[name]
-    low, high = found.interval(index)
-    told = 0.5 * (high - low) <= _WELL[name]
-    if unit == "s":
-        low = max(low, 0.0)
-    return Parameter(name, unit, float(found.values[index]), low, high, "" if told else drive)
+    unit, most, drive = _DRIVES[name]
+    low = max(value - room, 0.0) if unit == "s" else value - room
+    return Parameter(name, unit, value, low, value + room, "" if room <= most else drive)
 
 
 def _deviation(name: str, unit: str, size: float, count: int) -> Parameter:
@@ -173,11 +169,9 @@ def _deviation(name: str, unit: str, size: float, count: int) -> Parameter:
 def _odometry(recordings: Sequence[Recording]) -> list[Parameter]:
     """Return rate, latency and jitter of the odometry, as far as they are known."""
     periods = np.concatenate([np.diff(item.time) for item in recordings])
-    found = [_mean("odometry period", "s", periods[periods < 3.0 * np.median(periods)])]
-    period = found[0]
-    found[0] = Parameter(
-        "odometry rate", "Hz", 1.0 / period.value, 1.0 / period.high, 1.0 / period.low
-    )
+    period = _mean("", "", periods[periods < 3.0 * np.median(periods)])
+    rate = 1.0 / period.value, 1.0 / period.high, 1.0 / period.low
+    found = [Parameter("odometry rate", "Hz", *rate)]
     late = np.concatenate([item.latency for item in recordings])
     if len(late) > 1:
         found.append(_mean("odometry latency", "s", late))

@@ -4,6 +4,7 @@ Each model filters the commands by the firmware's ramp and the wheels' lags, and
 the encoders' velocities at their stamps.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,9 +19,9 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.robot.model import RobotModel
 
 _CELL = 0.005  # [s] between two values of a filtered command
-_DELAYS = np.arange(0.0, 0.61, 0.03)  # [s]
-_LAGS = (0.0, 0.05, 0.12, 0.25, 0.5)  # [s]
-_SLOWNESS = (0.0, 0.08, 0.3, 0.8, 1.6)  # of the ramp [s^2/m]
+_DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55)  # [s]
+_LAGS = (0.0, 0.06, 0.15, 0.35)  # [s]
+_SLOWNESS = (0.0, 0.08, 0.4, 1.2)  # of the ramp [s^2/m]
 _HIGHEST = np.array([1.0, 1.0, 1.0, 3.0])  # of delay, lags and slowness
 _STEPS = np.array([0.01, 0.01, 0.01, 0.03])  # over which the errors' slopes are taken
 _UNKNOWN = np.array([0.3, 0.3, 0.3, 1.0])  # standard deviations of what no drive has told
@@ -28,7 +29,7 @@ _MOVING = 0.05  # [m/s, rad/s]
 _RUN_IN = 2.0  # [s] after which it does not matter how a drive began
 _OUTLIER = 5.0  # standard deviations
 _LEAST = np.array([5e-4, 1e-3])  # [m/s, rad/s] of noise, so that a simulated robot has some
-_SAMPLING = 0.015  # [s] between two looks of others at a command or a wheel
+_SAMPLING = 0.008  # [s] by which all times may be wrong, as firmware and recorder sample, too
 _BLOCK = 1.0  # [s] whose errors hang together
 
 
@@ -111,24 +112,23 @@ def fit_response(recordings: Sequence[Recording]) -> Fit:
     def scaled(values: FloatArray) -> FloatArray:
         return np.asarray((errors(values)[used] / scale).ravel())
 
-    start, scale = _start(filters, recordings)
-    found = _refined(scaled, start)
-    wrong = np.abs(errors(found)) > _OUTLIER * np.maximum(scale, _LEAST)
-    used &= ~wrong.any(axis=1)
-    found = _refined(scaled, found)
+    scale = np.maximum(np.std(measured, axis=0), _LEAST)
+    grid = itertools.product(_DELAYS, _LAGS, _SLOWNESS)
+    starts = [np.array([delay, lag, lag, slow]) for delay, lag, slow in grid]
+    found = min(starts, key=lambda values: float(np.sum(scaled(values) ** 2)))
+    for _ in range(2):  # the second time without outliers, and with the scale of the errors
+        found = _refined(scaled, found)
+        scale = np.maximum(np.std(errors(found)[used], axis=0), _LEAST)
+        used &= (np.abs(errors(found)) < _OUTLIER * scale).all(axis=1)
     error = errors(found)
-    scale = np.maximum(np.std(error[used], axis=0), _LEAST)
     values = estimate(
         found, scaled(found), _slopes(scaled, found), np.repeat(block[used], 2), _UNKNOWN
     )
     noise = np.sqrt(0.5 * np.mean(np.diff(error[used], axis=0) ** 2, axis=0))
-    spread = np.mean(measured[used] ** 2, axis=0)
-    missed = np.mean(error[used] ** 2, axis=0)
-    explained = 1.0 - missed / np.maximum(spread, 1e-12)
-    # Firmware and recorder sample, too.
-    unsure = np.array([1.0, 1.0, 1.0, 0.0]) * _SAMPLING / math.sqrt(12.0)
-    deviations = np.hypot(values.deviations, unsure)
-    return Fit(Estimate(values.values, deviations, values.factor), noise, explained)
+    spread = np.maximum(np.mean(measured[used] ** 2, axis=0), 1e-12)
+    explained = 1.0 - np.mean(error[used] ** 2, axis=0) / spread
+    room = np.hypot(values.room, np.array([1.0, 1.0, 1.0, 0.0]) * _SAMPLING)
+    return Fit(Estimate(found, room), noise, explained)
 
 
 def _refined(errors: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
@@ -147,30 +147,3 @@ def _slopes(errors: Callable[[FloatArray], FloatArray], values: FloatArray) -> F
         low, high = np.maximum(values - step, 0.0), values + step
         found.append((errors(high) - errors(low)) / (high - low).sum())
     return np.column_stack(found)
-
-
-def _start(
-    filters: Sequence[_Filter], recordings: Sequence[Recording]
-) -> tuple[FloatArray, FloatArray]:
-    """Return the best of a grid of models, and the errors' deviations there, shape (2,)."""
-
-    def missed(part: int, lag: float, slowness: float) -> FloatArray:
-        """Return the mean squared error at each delay."""
-        sums, count = np.zeros(len(_DELAYS)), 0
-        for item, recording in zip(filters, recordings, strict=True):
-            answered = item.answered(part, lag, slowness)
-            truth = recording.encoders[item.used, part]
-            sums += [
-                np.sum((item.at(answered, delay)[item.used] - truth) ** 2) for delay in _DELAYS
-            ]
-            count += len(truth)
-        return sums / max(count, 1)
-
-    linear = np.array([[missed(0, lag, slow) for lag in _LAGS] for slow in _SLOWNESS])
-    angular = np.array([missed(1, lag, 0.0) for lag in _LAGS])
-    scale = np.maximum(np.sqrt([linear.min(), angular.min()]), _LEAST)
-    joint = linear.min(axis=(0, 1)) / scale[0] ** 2 + angular.min(axis=0) / scale[1] ** 2
-    place = int(joint.argmin())
-    slow, lag = np.unravel_index(int(linear[:, :, place].argmin()), linear.shape[:2])
-    lags = _LAGS[int(lag)], _LAGS[int(angular[:, place].argmin())]
-    return np.array([_DELAYS[place], *lags, _SLOWNESS[int(slow)]]), scale

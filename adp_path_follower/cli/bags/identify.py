@@ -55,7 +55,7 @@ def identify(
     with output_directory(directory):
         found = identified([read_recording(FilePath(bag), topics) for bag in bags])
         head = f"# The robot of {', '.join(FilePath(bag).name for bag in bags)}, by adp identify.\n"
-        write_output(directory / "robot.yaml", head + found.yaml())
+        write_output(directory / "robot.yaml", head + found.parameter_file())
         draw_robot(found.courses, directory / "robot.png")
     click.echo(_table(found))
     for note in found.notes:
@@ -64,7 +64,9 @@ def identify(
         click.echo("adp: --path identify is a short slalom that tells all of them", err=True)
     click.echo(f"\nIn {directory}: robot.yaml, robot.png")
     if json_file is not None:
-        write_json(json_file, _numbers(found))
+        numbers = {item.name: vars(item) for item in found.parameters}
+        explained = dict(zip("vw", found.explained, strict=True))
+        write_json(json_file, {"parameters": numbers, "explained": explained, "notes": found.notes})
 
 
 def _table(found: Identification) -> str:
@@ -85,16 +87,3 @@ def _line(item: Parameter) -> str:
         return f"{item.name:18}{'–':>10}"
     interval = f"{item.low:.4g} … {item.high:.4g}"
     return f"{item.name:18}{item.value:10.4g}     {interval} {item.unit}".rstrip()
-
-
-def _numbers(found: Identification) -> dict[str, object]:
-    return {
-        "parameters": {
-            item.name: {"unit": item.unit, "not_told": item.drive}
-            if item.drive
-            else {"unit": item.unit, "value": item.value, "low": item.low, "high": item.high}
-            for item in found.parameters
-        },
-        "explained": dict(zip(("v", "w"), found.explained, strict=True)),
-        "notes": found.notes,
-    }

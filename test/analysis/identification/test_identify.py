@@ -137,8 +137,8 @@ def test_a_straight_drive_does_not_tell_how_the_robot_turns(tmp_path):
     bag = write_bag(tmp_path / "bag", driven(TYPICAL, straight, duration=15.0))
     numbers, file, done = identified(tmp_path, bag)
     for name in ("angular lag", "k_w"):
-        assert numbers["parameters"][name]["not_told"] == "turn to both sides, as in a slalom"
-    assert "not_told" not in numbers["parameters"]["k_v"]
+        assert numbers["parameters"][name]["drive"] == "turn to both sides, as in a slalom"
+    assert not numbers["parameters"]["k_v"]["drive"]
     assert "--path identify is a short slalom" in done.stderr
     model = model_of(load_settings(Settings, "path_follower", file))
     assert (model.angular_lag, model.angular_gain) == (0.0, 1.0)
