@@ -51,6 +51,14 @@ CAPTIONS = {
         "Excitation certificate",
         "Smallest singular value of the rank condition: above 0, every weight is determined.",
     ),
+    "robot_model": (
+        "The robot's model",
+        "Delay, lags, gains and bias that commands are for; grey is two standard deviations away.",
+    ),
+    "robot_velocity": (
+        "Velocities of robot and model",
+        "Velocities that the encoders measured, and those that the last of these models expects.",
+    ),
     "period": ("Control period", "How often each time between two commands occurred."),
     "latency": (
         "Latency",

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from adp_path_follower.analysis.identification.robot_panels import robot_panels
 from adp_path_follower.analysis.recorded_run import (
     Drive,
     Timed,
@@ -88,6 +89,7 @@ def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Cha
         found["bellman_error"] = (Panel("|Bellman error|", (error,), logarithmic=True),)
     if "excitation" in learner:
         found["excitation"] = (Panel("certificate", (line("certificate", learner["excitation"]),)),)
+    found |= robot_panels(drive, buckets)
     histograms = {
         key: histogram(label, 1e3 * values)
         for key, label, values in (

@@ -27,6 +27,7 @@ SERIES = {
     "bellman_error": _NUMBER,
     "excitation": _NUMBER,
     "cost": _NUMBER,
+    "robot_model": _ARRAY,
 }
 _OTHERS = {
     "path": _PATH,

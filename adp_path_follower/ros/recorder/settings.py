@@ -23,6 +23,7 @@ RUN_TOPICS = (
     "path_follower/bellman_error",
     "path_follower/excitation",
     "path_follower/cost",
+    "path_follower/robot_model",
     "path_follower/configuration",
     "path_follower/initial_weights",
     "path_follower/status",

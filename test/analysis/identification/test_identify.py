@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 
 import numpy as np
 import pytest
-from plants import STEP, AnalyticPlant
+from plants import STEP
 from robots import TYPICAL, Robot
 
 from adp_path_follower.core.driving.driver import Driver
@@ -17,40 +16,11 @@ from adp_path_follower.core.robot.robot import model_of
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build
-from bag_messages import SECOND, odometry, twist, twist_stamped, write_bag, write_foreign
+from bag_messages import SECOND, odometry, twist_stamped, write_bag, write_foreign
 from commands import adp
+from driven_robots import BEGIN, driven, slalom, straight
 from sim_unicycle.robots import simulator_settings
 from sim_unicycle.unicycle import Unicycle
-
-BEGIN = 1_700_000_000 * SECOND  # [ns]
-
-
-def slalom(time):
-    """Return v, w of a drive with stops and ever faster turns to both sides."""
-    v = 0.5 if time % 9.0 < 7.5 else 0.0
-    return v, 0.9 * math.sin(1.2 * time + 0.04 * time * time)
-
-
-def straight(time):
-    return 0.5, 0.0
-
-
-def driven(robot: Robot, wanted, duration=30.0, rate=20.0, stamped=False):
-    """Return the messages of a drive with commands at a rate [Hz]."""
-    plant, found = AnalyticPlant(robot, np.zeros(3)), []
-    every, command = round(1.0 / rate / STEP), np.zeros(2)
-    for step in range(round(duration / STEP)):
-        now = BEGIN + round(step * STEP * SECOND)
-        if step % every == 0:
-            command = np.array(wanted(step * STEP))
-            message = twist_stamped(now, *command) if stamped else twist(*command)
-            found.append(("/cmd_vel", now, message))
-        plant.step(command)
-        for item in plant.arrived():
-            stamp = BEGIN + round(item.stamp * SECOND)
-            measured = odometry(stamp, *item.pose, *item.twist.tolist())
-            found.append(("/robot/odometry", now + round(STEP * SECOND), measured))
-    return found
 
 
 def identified(folder, bag, *options):
