@@ -76,6 +76,8 @@ setup(
             "evo>=1.28",
             "mcap-ros2-support>=0.5",
             "playwright>=1.40",
+            "ipykernel>=6.29",
+            "nbclient>=0.10",
         ],
         "robots": ["mujoco>=3.2,<5"],  # for bench/robots
         "lint": ["ruff==0.17.6", "mypy==2.4.1", "types-PyYAML"],

@@ -12,11 +12,11 @@ from adp_path_follower.drawing.figure_style import COLORS, STYLE
 
 def plotted(draw: Callable[[Axes], None], axes: Axes | None) -> Axes:
     """Draw on axes, or on those of a new figure of pyplot; return them."""
-    with mpl.rc_context(STYLE):
-        if axes is None:
-            import matplotlib.pyplot as plt  # notebooks and scripts show its figures
+    if axes is None:  # outside the context, which would undo that notebooks show its figures
+        import matplotlib.pyplot as plt
 
-            axes = plt.subplots(figsize=(7.0, 4.0), layout="constrained")[1]
+        axes = plt.subplots(figsize=(7.0, 4.0), dpi=STYLE["figure.dpi"], layout="constrained")[1]
+    with mpl.rc_context(STYLE):
         draw(axes)
     axes.grid(visible=True, alpha=STYLE["grid.alpha"])
     axes.spines[["top", "right"]].set_visible(False)

@@ -72,3 +72,26 @@ def test_read_a_bag(tmp_path):
     lines = run_example("read_a_bag.py", bag)
     assert lines[0].startswith("BagAnalysis(bag: ")
     assert lines[1].startswith("cross_track_max")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("paper_in_an_hour", "J/J* = 1.000"), ("my_robot_from_a_bag", "In tried")]
+)
+def test_the_notebook_runs_from_top_to_bottom_and_shows_pictures(name, said, tmp_path, monkeypatch):
+    nbclient = pytest.importorskip("nbclient", reason="notebooks need the extra 'test'")
+    nbformat = pytest.importorskip("nbformat", reason="notebooks need the extra 'test'")
+    pytest.importorskip("casadi", reason="J* needs CasADi")
+    from torn_bags import write_run
+
+    write_run(tmp_path / "my_bag")
+    command = f'exec {sys.executable} -m adp_path_follower.cli.main "$@"'
+    (tmp_path / "adp").write_text(f"#!/bin/sh\n{command}\n")
+    (tmp_path / "adp").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    book = nbformat.read(EXAMPLES / f"{name}.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in book.cells), "clear its outputs"
+    nbclient.NotebookClient(book, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()
+    shown = [item for cell in book.cells for item in cell.get("outputs", ())]
+    assert sum("image/png" in item.get("data", {}) for item in shown) >= 2
+    text = "".join(item.get("text", "") for item in shown)
+    assert said in text, text
