@@ -1,23 +1,19 @@
 """The transforms between frames that a bag holds in /tf and /tf_static."""
 
+import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
-from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.opening import opened_bag
-from adp_path_follower.core.geometry import (
-    FloatArray,
-    pose_in_frame,
-    tracking_error,
-    yaw_of_quaternion,
-)
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
+from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.raw import read_transforms as raw_transforms
+from adp_path_follower.messages.raw import way_between
 
 _TOPICS = ("tf", "tf_static")  # in a namespace, too
 _TYPE = "tf2_msgs/msg/TFMessage"
-_DEEPEST = 50  # frames above another: a damaged bag may have them in a ring
 
 
 @dataclass
@@ -36,16 +32,13 @@ class Transforms:
         """Begin without any."""
         self._edges: dict[str, _Edge] = {}
 
-    def take(self, arrival: int, message: Any, is_static: bool) -> None:
-        """Take a message; a frame keeps the parent that it had first."""
-        for item in message.transforms:
-            place, turn = item.transform.translation, item.transform.rotation
-            child, parent = frame_name(item.child_frame_id), frame_name(item.header.frame_id)
+    def take(self, arrival: int, raw: bytes, is_static: bool) -> None:
+        """Take a serialised message (CdrError if it is none); a frame keeps its first parent."""
+        for item in raw_transforms(raw):
+            child, parent = frame_name(item.child), frame_name(item.parent)
             edge = self._edges.setdefault(child, _Edge(parent, is_static=is_static))
-            heading = yaw_of_quaternion(turn.x, turn.y, turn.z, turn.w)
-            stamp = item.header.stamp.sec * 1_000_000_000 + item.header.stamp.nanosec
-            if edge.parent == parent and np.isfinite([place.x, place.y, heading]).all():
-                edge.rows.append((arrival, stamp, place.x, place.y, heading))
+            if edge.parent == parent and np.isfinite(item.pose).all():
+                edge.rows.append((arrival, item.stamp, *item.pose.tolist()))
 
     def moved(
         self, poses: FloatArray, source: str, target: str, times: np.ndarray, by_arrival: bool
@@ -55,25 +48,22 @@ class Transforms:
         `times` [ns] (N,) are arrivals or stamps. Returns None where the bag has no way to the
         frame.
         """
-        up, down = self._above(source), self._above(target)
-        shared = next((frame for frame in up if frame in down), None)
-        if shared is None:
+        way = way_between(self._parent, source, target)
+        if way is None:
             return None
+        rising, falling, _ = way
         known = np.ones(len(poses), dtype=bool)
-        for frame in up[: up.index(shared)]:
+        for frame in rising:
             place, near = self._place(frame, times, by_arrival)
             poses, known = pose_in_frame(poses, place), known & near
-        for frame in reversed(down[: down.index(shared)]):
+        for frame in falling:
             place, near = self._place(frame, times, by_arrival)
             poses, known = tracking_error(poses, place), known & near
         return poses, float(known.mean()) if len(known) else 0.0
 
-    def _above(self, frame: str) -> list[str]:
-        """Return a frame and those above it, from the lowest to the root."""
-        found = [frame]
-        while found[-1] in self._edges and self._edges[found[-1]].rows and len(found) < _DEEPEST:
-            found.append(self._edges[found[-1]].parent)
-        return found
+    def _parent(self, frame: str) -> str | None:
+        edge = self._edges.get(frame)
+        return edge.parent if edge is not None and edge.rows else None
 
     def _place(
         self, frame: str, times: np.ndarray, by_arrival: bool
@@ -101,7 +91,7 @@ def frame_name(name: str) -> str:
 
 def read_transforms(bag: FilePath) -> Transforms:
     """Return the transforms of a bag, none without /tf; FileError if it cannot be read."""
-    found, store = Transforms(), get_typestore(Stores.ROS2_JAZZY)
+    found = Transforms()
     with opened_bag(bag) as (reader, _):
         wanted = [
             connection
@@ -109,9 +99,6 @@ def read_transforms(bag: FilePath) -> Transforms:
             if connection.topic.rpartition("/")[2] in _TOPICS and connection.msgtype == _TYPE
         ]
         for connection, time, raw in reader.messages(wanted) if wanted else ():
-            try:
-                message = store.deserialize_cdr(raw, _TYPE)
-            except Exception:  # noqa: S112  # whatever a damaged message does to the library
-                continue
-            found.take(time, message, connection.topic.endswith("tf_static"))
+            with contextlib.suppress(CdrError):
+                found.take(time, bytes(raw), connection.topic.endswith("tf_static"))
     return found

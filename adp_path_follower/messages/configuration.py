@@ -24,9 +24,6 @@ class Configuration:
 
     values: Mapping[str, object]  # setting -> value, as far as the bag says
     path_digest: str = ""  # `Route.digest` of the route that is followed, empty without one
-    # x [m], y [m] and turn [rad] by which the path was brought from its own frame into the
-    # odometry's, empty where both are the same.
-    transform: tuple[float, ...] = ()
     # Stamp of the last control step before it was in force [ns], `NO_STEP` if none.
     after_step: int = NO_STEP
     counts: Counts = _NOTHING  # resets, restarts and stops since the node's start
@@ -44,13 +41,11 @@ def configuration_text(
     after_step: int = NO_STEP,
     counts: Counts = _NOTHING,
     saved_weights: str = "",
-    transform: tuple[float, ...] = (),
 ) -> str:
     """Return the text that says what a controller runs with, as YAML."""
     lines = [f"version: {__version__}"]
     if path is not None:
-        moved = f", transform: {yaml_text(transform)}" if transform else ""
-        lines.append(f"path: {{digest: '{path.digest()}', length: {path.length!r}{moved}}}")
+        lines.append(f"path: {{digest: '{path.digest()}', length: {path.length!r}}}")
     lines.append(f"after_step: {after_step}")
     lines += [f"{name}: {count}" for name, count in asdict(counts).items()]
     if saved_weights:
@@ -82,17 +77,7 @@ def parse_configuration(text: str) -> Configuration:
     return Configuration(
         values=values,
         path_digest=str(path.get("digest", "")) if isinstance(path, dict) else "",
-        transform=_transform(path),
         after_step=whole("after_step", NO_STEP),
         counts=Counts(**{field.name: whole(field.name, 0) for field in fields(Counts)}),
         saved_weights=str(content.get("saved_weights", "")),
     )
-
-
-def _transform(path: object) -> tuple[float, ...]:
-    values = path.get("transform") if isinstance(path, dict) else None
-    if not isinstance(values, list) or len(values) != 3:
-        return ()
-    if not all(isinstance(value, int | float) for value in values):
-        return ()
-    return tuple(float(value) for value in values)

@@ -7,13 +7,13 @@ read and written as the few numbers that count, in a tenth of rclpy's time.
 """
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, pose_in_frame, yaw_of_quaternion
+from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
 from adp_path_follower.messages.cdr import CdrError
 
 _HEADER = 4  # bytes of encapsulation before the first field
@@ -23,6 +23,7 @@ _POSE = 56  # bytes: seven numbers
 _TWIST = 48  # bytes: six numbers
 _COVARIANCE = 288  # bytes: thirty-six numbers
 _NANOSECONDS = 1_000_000_000
+_DEEPEST = 50  # frames above another: wrong transforms may have them in a ring
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,23 @@ def read_transforms(raw: bytes) -> list[Transform]:
     return found
 
 
+def way_between(
+    parent_of: Callable[[str], str | None], source: str, target: str
+) -> tuple[list[str], list[str], str] | None:
+    """Return the frames below a shared one, from a source up and from it down to a target.
+
+    The last of the three is that shared frame. Returns None where there is no way.
+    """
+    up, down = ([frame] for frame in (source, target))
+    for found in (up, down):
+        while (parent := parent_of(found[-1])) is not None and len(found) < _DEEPEST:
+            found.append(parent)
+    shared = next((frame for frame in up if frame in down), None)
+    if shared is None:
+        return None
+    return up[: up.index(shared)], down[: down.index(shared)][::-1], shared
+
+
 def stamped_numbers(
     time: int, frame: str, numbers: Iterable[float], child_frame: str | None = None
 ) -> bytes:
@@ -133,11 +151,6 @@ def is_empty(raw: bytes) -> bool:
         return not len(read_path(raw).poses)
     except CdrError:
         return False
-
-
-def transformed(poses: FloatArray, transform: tuple[float, ...]) -> FloatArray:
-    """Return poses (N, 3) in a frame where theirs is at x, y [m] and turn [rad]; empty for none."""
-    return pose_in_frame(poses, np.asarray(transform)) if transform else poses
 
 
 def _too_short() -> CdrError:

@@ -48,14 +48,19 @@ class FollowPathAction:
     """Lets the controller follow the path of one goal at a time; the last one commands."""
 
     def __init__(self, node: Node, path: PathInput, site: Site) -> None:
-        """Offer the action; raise ImportError without `nav2_msgs`."""
-        from nav2_msgs.action import FollowPath
-
-        self._type, self._path, self._site = FollowPath, path, site
+        """Offer the action where `nav2_msgs` is installed, else there will never be a goal."""
+        self._path, self._site = path, site
         self._node, self._logger = node, node.get_logger()
-        self._followed = node.create_publisher(PathMessage, "~/goal_path", LATCHED)
         self._goal: ServerGoalHandle | None = None
         self._standing_since: float | None = None  # steady [s]
+        self._server: _Server | None = None
+        try:
+            from nav2_msgs.action import FollowPath
+        except ImportError:
+            self._logger.info("no action follow_path: nav2_msgs is not installed")
+            return
+        self._type = FollowPath
+        self._followed = node.create_publisher(PathMessage, "~/goal_path", LATCHED)
         self._server = _Server(
             *(node, FollowPath, "follow_path"),
             execute_callback=_never,
@@ -67,8 +72,9 @@ class FollowPathAction:
 
     def destroy(self) -> None:
         """Withdraw the action."""
-        self._server.destroy()
-        self._node.destroy_publisher(self._followed)
+        if self._server is not None:
+            self._server.destroy()
+            self._node.destroy_publisher(self._followed)
 
     def path_followed(self, found: PathAnswer) -> None:
         """Publish a path that is followed for a goal, so that a recording is complete."""
@@ -169,32 +175,10 @@ class FollowPathAction:
         self._path.stop()
 
     def _end(self, change: Callable[[], None], code: str) -> None:
+        assert self._server is not None  # a goal has come through it
         goal, self._goal = self._goal, None
         result = self._type.Result(error_code=getattr(self._type.Result, code))
         self._server.end(goal, change, result)
-
-
-class NoAction:
-    """Stand for the action where `nav2_msgs` is not installed."""
-
-    def destroy(self) -> None:
-        """Do nothing, as all others."""
-
-    path_on_topic = deactivated = look = destroy
-
-    def path_followed(self, found: PathAnswer) -> None:
-        """Do nothing."""
-
-    path_refused = path_followed
-
-
-def follow_path_action(node: Node, path: PathInput, site: Site) -> FollowPathAction | NoAction:
-    """Return the action, or what stands for it."""
-    try:
-        return FollowPathAction(node, path, site)
-    except ImportError:
-        node.get_logger().info("no action follow_path: nav2_msgs is not installed")
-        return NoAction()
 
 
 def distance_to_goal(driver: Driver) -> float:

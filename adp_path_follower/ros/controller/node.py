@@ -20,7 +20,7 @@ from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, 
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import Commands
-from adp_path_follower.ros.controller.follow_path_action import Site, follow_path_action
+from adp_path_follower.ros.controller.follow_path_action import FollowPathAction, Site
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.parts import ControllerParts, heard_topics, start_teller
 from adp_path_follower.ros.controller.path_input import PathInput
@@ -108,7 +108,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             OdometryInput(self, lambda: self.settings, self._take_odometry, self._refuse_odometry),
             frame,
             path,
-            follow_path_action(self, path, self._site),
+            FollowPathAction(self, path, self._site),
             limit,
             heard_topics(self, limit),
             Watchdog(self, self._watch),

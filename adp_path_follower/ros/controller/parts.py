@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
 from adp_path_follower.ros.controller.commands import Commands
-from adp_path_follower.ros.controller.follow_path_action import FollowPathAction, NoAction
+from adp_path_follower.ros.controller.follow_path_action import FollowPathAction
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.path_input import PathInput
 from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
@@ -29,7 +29,7 @@ class ControllerParts:
     odometry: OdometryInput
     frame: PathFrame
     path: PathInput
-    action: FollowPathAction | NoAction
+    action: FollowPathAction
     speed_limit: SpeedLimitInput
     topics: TopicCheck
     watchdog: Watchdog

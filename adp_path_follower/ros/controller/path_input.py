@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from nav_msgs.msg import Path as PathMessage
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
@@ -44,7 +45,12 @@ class PathInput:
         self._intake = PathIntake(self._wake, fit)
         # One for the last path of latched publishers, one for those that latch nothing.
         self._subscriptions: list[Any] = [
-            node.create_subscription(PathMessage, "path", self._receive, qos, raw=True)
+            node.create_subscription(
+                *(PathMessage, "path", self._receive, qos),
+                raw=True,
+                # rclpy would warn of each publisher that only the other one hears.
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            )
             for qos in (LATCHED, EVERY_STEP)
         ]
 

@@ -17,11 +17,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.messages.cdr import CdrError
-from adp_path_follower.messages.raw import read_transforms
+from adp_path_follower.messages.raw import read_transforms, way_between
 
 _TOPICS = {"/tf": DurabilityPolicy.VOLATILE, "/tf_static": DurabilityPolicy.TRANSIENT_LOCAL}
 _DEPTH = 100
-_DEEPEST = 50  # frames above another: wrong transforms may have them in a ring
 
 
 class FrameError(AdpError):
@@ -85,26 +84,22 @@ class Frames:
         self._known.clear()
 
     def _found(self, frame: str, within: str) -> FramePlace:
-        up, down = self._above(frame), self._above(within)
-        shared = next((name for name in up if name in down), None)
-        if shared is None:
+        way = way_between(self._parent, frame, within)
+        if way is None:
             raise FrameError(f"no transform from '{frame}' to '{within}' is known")
+        rising, falling, shared = way
         pose = np.zeros(3)
-        rising, falling = up[: up.index(shared)], down[: down.index(shared)]
         for name in rising:
             pose = pose_in_frame(pose, self._edges[name][1])
-        for name in reversed(falling):
+        for name in falling:
             pose = tracking_error(pose, self._edges[name][1])
         stamps = [self._edges[name][2] for name in (*rising, *falling)]
         oldest = min((stamp for stamp in stamps if stamp is not None), default=None)
-        return FramePlace(pose, oldest, (*rising, shared, *reversed(falling)))
+        return FramePlace(pose, oldest, (*rising, shared, *falling))
 
-    def _above(self, frame: str) -> list[str]:
-        """Return a frame and those above it, from the lowest to the root."""
-        found = [frame]
-        while found[-1] in self._edges and len(found) < _DEEPEST:
-            found.append(self._edges[found[-1]][0])
-        return found
+    def _parent(self, frame: str) -> str | None:
+        edge = self._edges.get(frame)
+        return None if edge is None else edge[0]
 
 
 def frames_of(node: Node) -> Frames | None:

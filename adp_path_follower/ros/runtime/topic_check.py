@@ -31,6 +31,7 @@ class TopicCheck:
             if info.topic_type not in types:
                 return f"{name} has the type {info.topic_type}, but must be {' or '.join(types)}"
             compatible, reason = qos_check_compatible(info.qos_profile, wanted)
-            if compatible is QoSCompatibility.ERROR:
-                return f"{name} of {info.node_name} is not heard: {reason.strip().rstrip(';')}"
+            if compatible == QoSCompatibility.ERROR:
+                why = reason.removeprefix("ERROR: ").rstrip("; ")
+                return f"{name} of {info.node_name} is not heard: {why}"
         return ""

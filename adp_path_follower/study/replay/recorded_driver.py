@@ -48,7 +48,6 @@ class RecordedDriver:
         self._routes = RecordedRoutes(run, settings, self._overlay)
         # Number of a step, and what a controller that drives like this says before it.
         self.configurations: list[tuple[int, str]] = []
-        self._transform: tuple[float, ...] = ()
         self._count, self._last = 0, NO_STEP
         told = run.configurations if "measured_pose" in run.series else ()
         self._changes = iter([parse_configuration(text) for _, text in told])
@@ -119,7 +118,6 @@ class RecordedDriver:
             after_step=self._last,
             counts=driver.counts,
             saved_weights=self._saved_weights,
-            transform=self._transform,
         )
 
     def _change(self, change: Configuration) -> None:
@@ -127,7 +125,6 @@ class RecordedDriver:
         driver = self._driver
         driver.catch_up(change.counts)
         route = self._routes.of(change)
-        self._transform = change.transform
         if route is not driver.route:
             driver.follow(route)
         driver.change_settings(self._wanted(change))

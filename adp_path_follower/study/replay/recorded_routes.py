@@ -11,11 +11,10 @@ from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import setting_fields, update
 from adp_path_follower.messages.configuration import Configuration, parse_configuration
-from adp_path_follower.messages.raw import transformed
 
 
 class RecordedRoutes:
-    """Finds the route of a digest by the paths, settings and transforms that are in the bag."""
+    """Finds the route of a digest by the paths and settings that are in the bag."""
 
     def __init__(
         self,
@@ -33,39 +32,34 @@ class RecordedRoutes:
         self._times = [time for time, _ in configurations]
         self._changes = [change for _, change in configurations]
         self._known = _path_settings(self._changes)
-        self._prepared: dict[tuple[int, PathSettings, tuple[float, ...]], Route | None] = {}
-        self._found: dict[tuple[str, tuple[float, ...]], tuple[int, Route]] = {}
+        self._prepared: dict[tuple[int, PathSettings], Route | None] = {}
+        self._found: dict[str, tuple[int, Route]] = {}
 
     def last(self, settings: Settings) -> Route:
         """Return the route of the last path; raise PathError if it cannot be followed."""
         poses = [poses for poses in self._poses if len(poses)]
-        return _route(poses[-1], settings.path, ())
+        return _route(poses[-1], settings.path)
 
     def in_force(self) -> list[tuple[int, Route, str]]:
-        """Return since which arrival [ns] the controller said it followed which routes.
-
-        The last of the three is the frame of the route, empty for that of the odometry.
-        """
+        """Return since which arrival [ns] the controller followed which routes, in which frame."""
         found: list[tuple[int, Route, str]] = []
-        last: tuple[str, tuple[float, ...]] | None = None
+        last = ""
         for time, change in zip(self._times, self._changes, strict=True):
-            key = change.path_digest, change.transform
-            if not change.path_digest or key == last:
+            if change.path_digest in ("", last):
                 continue
             try:
                 route = self.of(change)
             except FileError:  # its path is not in the bag
                 return []
             if route is not None:
-                number, _ = self._found[key]
-                found.append((time, route, "" if change.transform else self._frames[number]))
-                last = key
+                last = change.path_digest
+                found.append((time, route, self._frames[self._found[last][0]]))
         return found
 
     def followed(self, number: int) -> Route | None:
         """Return the route that the controller made of a path of the run, None if it made none."""
         for change in self._changes:
-            route = self._made(number, change.settings.path, change.transform)
+            route = self._made(number, change.settings.path)
             if route is not None and change.path_digest == route.digest():
                 return route
         return None
@@ -74,14 +68,13 @@ class RecordedRoutes:
         """Return the route that a configuration names, None without; FileError if it is missing."""
         if not change.path_digest:
             return None
-        key = change.path_digest, change.transform
-        if key not in self._found:
+        if change.path_digest not in self._found:
             number, prepared, route = self._search(change)
             wanted = self._wanted(change.settings, prepared)
             if wanted != prepared:
-                route = _route(self._poses[number], wanted, change.transform)
-            self._found[key] = number, route
-        return self._found[key][1]
+                route = _route(self._poses[number], wanted)
+            self._found[change.path_digest] = number, route
+        return self._found[change.path_digest][1]
 
     def _wanted(self, settings: Settings, prepared: PathSettings) -> PathSettings:
         """Return what to prepare a path with that was prepared before these settings."""
@@ -95,29 +88,26 @@ class RecordedRoutes:
     def _search(self, change: Configuration) -> tuple[int, PathSettings, Route]:
         for settings in self._known:
             for number in range(len(self._poses)):
-                route = self._made(number, settings, change.transform)
+                route = self._made(number, settings)
                 if route is not None and route.digest() == change.path_digest:
                     return number, settings, route
         raise FileError(
             f"the bag has not the path {change.path_digest} that the controller followed"
         )
 
-    def _made(
-        self, number: int, settings: PathSettings, transform: tuple[float, ...]
-    ) -> Route | None:
+    def _made(self, number: int, settings: PathSettings) -> Route | None:
         """Return the route of a path, None if it was rejected."""
-        key = number, settings, transform
+        key = number, settings
         if key not in self._prepared:
             try:
-                self._prepared[key] = _route(self._poses[number], settings, transform)
+                self._prepared[key] = _route(self._poses[number], settings)
             except AdpError:
                 self._prepared[key] = None
         return self._prepared[key]
 
 
-def _route(poses: FloatArray, settings: PathSettings, transform: tuple[float, ...]) -> Route:
-    moved = transformed(poses, transform)
-    return prepare(moved[:, :2], settings, moved[:, 2])
+def _route(poses: FloatArray, settings: PathSettings) -> Route:
+    return prepare(poses[:, :2], settings, poses[:, 2])
 
 
 def _configurations(run: Run) -> list[tuple[int, Configuration]]:

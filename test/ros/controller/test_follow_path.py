@@ -14,7 +14,10 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.action import ActionClient
 
+from adp_path_follower.analysis.recorded_run import drive_of
+from adp_path_follower.bags.reader import read_run
 from adp_path_follower.ros.runtime.conversions import poses_message
+from adp_path_follower.study.replay.replay import replay
 from live_nodes import is_zero
 
 pytestmark = pytest.mark.nodes
@@ -103,8 +106,10 @@ def test_a_goal_is_reached_and_told_of(planner, start):
     assert max(item.speed for item in planner.feedback) == pytest.approx(0.5, abs=0.05)
 
 
-def test_many_preemptions_neither_stop_nor_jolt_the_robot(stepped, start):
-    planner, peer = stepped, stepped.peer
+def test_many_preemptions_neither_stop_nor_jolt_the_robot(stepped, start, tmp_path):
+    planner, peer, bag = stepped, stepped.peer, tmp_path / "bag"
+    recorder = start("recorder", output=str(bag), use_sim_time=True)
+    peer.until_recorded()
     followed = peer.listen(PathMessage, "path_follower/goal_path")
     planner.start_robot(start, lockstep=True)
     handles = [planner.send(wave(0.0, 20.0))]
@@ -131,6 +136,15 @@ def test_many_preemptions_neither_stop_nor_jolt_the_robot(stepped, start):
     peer.until(cancelled.done, "the answer to the cancellation")
     assert planner.result(handles[-1])[0] == GoalStatus.STATUS_CANCELED
     assert is_zero(planner.commands[-1])
+    planner.controller.stop()
+    recorder.stop()
+    run = read_run(bag)
+    found = replay(run)
+    assert found.answered.sum() > 100
+    assert found.identical[found.answered].all()
+    drive = drive_of(bag, run)
+    assert len(drive.segments) == PREEMPTIONS + 1
+    assert not any("passed over" in note for note in drive.notes)
 
 
 def test_goals_that_cannot_be_reached_say_why(planner):
