@@ -102,7 +102,7 @@ def test_the_distance_from_the_path_is_that_to_its_nearest_place(monkeypatch):
     from adp_path_follower.study.comparison import compare as comparison
 
     item = Contender("standing", build(Settings, UNLIMITED), Standing, "frozen", rate=20.0)
-    monkeypatch.setattr(comparison, "contenders", lambda settings, names: [item])
+    monkeypatch.setattr(comparison, "contenders", lambda *_: [item])
     result = compare(
         build(Settings, UNLIMITED),
         "line",
