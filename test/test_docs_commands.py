@@ -9,11 +9,13 @@ from dataclasses import dataclass
 import click
 import pytest
 import yaml
+from robots import TYPICAL
 
 import adp_path_follower as package
 from adp_path_follower.cli.main import adp as adp_group
 from bag_messages import drive_on_line, write_bag
 from commands import adp
+from driven_robots import driven, slalom
 from folders import ROOT
 from torn_bags import write_run
 
@@ -99,6 +101,7 @@ def files(tmp_path_factory):
         folder / "nav2_run",
         [("/plan" if topic == "/path" else topic, *rest) for topic, *rest in messages],
     )
+    write_bag(folder / "my_drive", driven(TYPICAL, slalom, duration=10.0))
     (folder / "my_robot.yaml").symlink_to(ROOT / "config" / "default.yaml")
     (folder / "my_path.csv").write_text("x,y\n0,0\n3,0\n6,1\n9,1\n")
     return folder

@@ -139,7 +139,7 @@ def identify(recordings: Sequence[Recording]) -> Identification:
             f"the model explains less than half of {' and '.join(low)}: are these the commands "
             "that the robot gets, and is it limited behind them?"
         )
-    if gains.noise[0] < _RECKONED:
+    if gains.noise[0] < _RECKONED and not all(item.localised for item in recordings):
         notes.append(
             "the pose follows the encoders without noise: if it is their integral, gains and bias "
             "say nothing about the robot; name a localised pose by --pose"

@@ -27,6 +27,7 @@ class Recording:
     time: FloatArray  # of the measurements [s], shape (N,)
     poses: FloatArray  # x, y, theta, shape (N, 3)
     encoders: FloatArray  # v, w, shape (N, 2)
+    localised: bool  # whether the poses are from another topic than the encoders
     latency: FloatArray  # arrival less stamp [s], empty where the recorder's clock is another
     notes: tuple[str, ...]  # sentences about data that could not be used
 
@@ -69,6 +70,7 @@ def read_recording(bag: FilePath, topics: Mapping[str, str]) -> Recording:
         time=time[used],
         poses=np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]),
         encoders=values[:, 3:],
+        localised="ground_truth" in topics,
         latency=late if same_clock else np.zeros(0),
         notes=(*run.notes, *line.notes, *told.notes),
     )

@@ -46,7 +46,8 @@ def robot_panels(drive: Drive, buckets: int) -> dict[str, tuple[Panel, ...]]:
     }
     if len(drive.commands.time) and np.isfinite([*last.values()][:3]).all():
         sent, commands = drive.commands.time, drive.commands.values
-        recording = Recording(sent, commands, time, values[:, :3], values[:, 3:], sent[:0], ())
+        poses, encoders = values[:, :3], values[:, 3:]
+        recording = Recording(sent, commands, time, poses, encoders, False, sent[:0], ())
         answer = modelled(recording, model)
         found["robot_velocity"] = tuple(
             Panel(
