@@ -34,6 +34,7 @@ docs: $(VENV)/ready-test  ## Generate tables in docs/, and the site in build/sit
 	$(BIN)/adp parameters --format markdown > docs/parameters.md
 	$(BIN)/python bench/endurance/faults.py --table
 	$(BIN)/python bench/site/hooks.py
+	$(BIN)/python bench/site/numbers.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "file://$(CURDIR)/build/site/index.html"
 

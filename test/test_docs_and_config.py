@@ -189,6 +189,15 @@ def test_the_table_of_faults_is_that_of_the_bench_and_its_tests_exist():
         assert re.search(rf"def test_\w*{test}", tests), test
 
 
+def test_the_numbers_of_the_method_are_those_of_adp_paper():
+    bench = runpy.run_path(str(ROOT / "bench" / "site" / "numbers.py"))
+    numbers = json.loads(bench["NUMBERS"].read_text(encoding="utf-8"))
+    page = bench["PAGE"].read_text(encoding="utf-8")
+    assert bench["with_numbers"](page, numbers) == page
+    stale = page.replace("J* = 0.541887", "J* = 0.541888")
+    assert bench["with_numbers"](stale, numbers) == page != stale
+
+
 def test_notation_names_things_that_exist():
     """Every code name in docs/method.md is a setting, or stands in the core's source."""
     source = "".join(

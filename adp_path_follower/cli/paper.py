@@ -27,13 +27,13 @@ def paper(directory: FilePath) -> None:
 
     Simulates the paper's run with its printed laws and constants and each width of the sample
     grid, which the paper leaves open; finds the offline optimum; draws the paper's figures 2 to 5
-    with the optimum as circles, the same laws for ten minutes, and the
-    quantities of its stability theorem. Needs no ROS; takes about a minute.
+    with the optimum as circles, the same laws for ten minutes, and the quantities of its stability
+    theorem. Needs no ROS; takes some minutes.
     """
     from adp_path_follower.study.paper.reproduce import reproduce
 
     new_directory(directory)
-    log.info("simulating the paper's run, ten minutes of it, and 26 optima: a minute or more")
+    log.info("simulating the paper's run, ten minutes of it, and 26 optima: some minutes")
     with progress_bar("simulating and optimising") as progress:
         found = reproduce(progress)
     from adp_path_follower.study.paper.reproduce import draw_paper

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+
+from folders import ROOT
 
 pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
 
@@ -22,6 +26,13 @@ def test_costs_of_the_printed_laws(found):
     known = [0.6285, 0.5882, 0.5967, 0.6163]
     assert [run.cost for run in found.runs] == pytest.approx(known, rel=5e-3)
     assert found.optimum.cost == pytest.approx(0.541887, rel=1e-5)
+    # The docs' numbers, which `bench/site/numbers.py` takes from this file, are not stale.
+    kept = json.loads((ROOT / "docs" / "paper.json").read_text(encoding="utf-8"))
+    for run, numbers in zip(found.runs, kept["runs"], strict=True):
+        told = (run.cost, run.state_distance, run.input_distance)
+        names = ("cost", "state_distance", "input_distance")
+        assert told == pytest.approx([numbers[name] for name in names], rel=1e-4)
+    assert kept["theorem"]["c_min"] == pytest.approx(found.theorem.excitation.min(), rel=1e-4)
 
 
 def test_distances_are_those_of_the_trajectories(found):
