@@ -50,14 +50,15 @@ def animate(robots: dict[str, FloatArray], file: FilePath) -> None:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 4.4), dpi=90, layout="constrained")
         axes = figure.subplots()
-        axes.plot(*adp.path(_PATH).points(0.05)[:, :2].T, color="0.85", linewidth=6)
+        circle = adp.path(_PATH).points(0.05)[:, :2]
+        axes.plot(*circle.T, color="0.85", linewidth=6)
         drawn = []
         for color, (name, pose) in zip(("0.2", *COLORS), robots.items(), strict=False):
             wide = 3.5 if "optimum" in name else 1.5  # so that the one that covers it shows
             (trail,) = axes.plot([], [], color=color, linewidth=wide, label=name)
             (nose,) = axes.plot([], [], color=color, linewidth=5, solid_capstyle="round")
             drawn.append((pose, trail, nose))
-        seen = np.vstack([pose[:, :2] for pose in robots.values()])
+        seen = np.vstack([circle, *(pose[:, :2] for pose in robots.values())])
         low, high = seen.min(axis=0) - 0.2, seen.max(axis=0) + 0.2
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal")
