@@ -129,6 +129,7 @@ def test_starts_without_an_optimum_count_in_all_but_the_ratio():
         lap_time=np.ones(1),
         cross_track=np.array([-2.0]),
         step_time=1e-3,
+        lap=None,  # of the page
     )
     assert outcome.quantile(0.0) == 1.0
     assert outcome.quantile(0.5) == 3.0
@@ -246,6 +247,7 @@ def test_figures_where_every_run_failed_say_so(tmp_path, optimal):
         lap_time=np.zeros(0),
         cross_track=np.zeros(0),
         step_time=1e-3,
+        lap=None,  # of the page
     )
     found = Comparison("line", np.zeros((2, 3)), np.full(2, optimal), (), (), (lost,))
     with warnings.catch_warnings():
@@ -256,6 +258,6 @@ def test_figures_where_every_run_failed_say_so(tmp_path, optimal):
 
 def test_the_median_of_two_starts_is_their_mean():
     ratio, zeros = np.array([1.0, 1.5]), np.zeros(2)
-    outcome = Outcome("x", ratio, ratio, zeros > 0.0, zeros, zeros, zeros, zeros, 0.0)
+    outcome = Outcome("x", ratio, ratio, zeros > 0.0, zeros, zeros, zeros, zeros, 0.0, None)
     assert outcome.quantile(0.5) == 1.25
     assert outcome.quantile(0.95) == outcome.quantile(1.0) == 1.5
