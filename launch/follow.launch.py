@@ -89,7 +89,7 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "movement_time_allowance",
-                default_value=".inf",
+                default_value="inf",
                 description="Time without progress [s] after which the robot is told to stop.",
             ),
             DeclareLaunchArgument(

@@ -106,7 +106,8 @@ def test_launch_loads_it():
 
     def started(**values: str) -> list[str]:
         context = LaunchContext()
-        context.launch_configurations.update({"use_sim": "true", "record": "false", **values})
+        given = {"path": "line", "use_sim": "true", "record": "false", **values}
+        context.launch_configurations.update(given)
         return [
             entity.node_executable
             for entity in description.entities

@@ -90,7 +90,7 @@ class FollowPathAction:
     def path_refused(self, found: PathAnswer) -> None:
         """End the goal whose path cannot be followed."""
         if self._goal is not None and found.request.goal is self._goal:
-            self._abort("CONTROLLER_TIMED_OUT" if found.timed_out else "INVALID_PATH")
+            self._abort("INVALID_PATH")
         elif self._goal is None and self._path.goal is not None:
             self._path.stop()  # its goal has ended
 

@@ -38,10 +38,6 @@ _PATIENCE_EACH = 5e-6  # [s] for each byte of it, fifty times what a long one ta
 Fit = Callable[[bytes, PathSettings], Route]
 
 
-class PathTimeoutError(PathError):
-    """Report a path that took too long to prepare."""
-
-
 def route_of_message(raw: bytes, settings: PathSettings) -> Route:
     """Return the route of a path, a serialised nav_msgs/Path, ready to be driven.
 
@@ -108,10 +104,7 @@ class FittingProcess:
         return found
 
     def _answer(self, connection: socket.socket, request: object, size: int) -> Route | str:
-        """Return the route of a path of so many bytes from the process, or why there is none.
-
-        Raises PathTimeoutError if the process does not answer in time.
-        """
+        """Return the route of a path of so many bytes from the process, or why there is none."""
         patience = _PATIENCE + _PATIENCE_EACH * size
         connection.settimeout(patience)
         try:
@@ -119,10 +112,10 @@ class FittingProcess:
             found: Route | str = _receive(connection)
         except TimeoutError:
             self._replace()
-            raise PathTimeoutError(
+            return (
                 f"path was not prepared within {patience:.0f} s: publish it again, with fewer "
                 "poses if it is long"
-            ) from None
+            )
         except (EOFError, OSError):
             code = self._replace()
             return (

@@ -12,7 +12,6 @@ from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.raw import frame_of
 from adp_path_follower.ros.controller.path_process import (
     Fit,
-    PathTimeoutError,
     reason,
     route_of_message,
 )
@@ -45,7 +44,6 @@ class PathAnswer:
     frame: str  # frame of the path
     route: Route | None = None  # the route in that frame; None if it was rejected
     problem: str = ""  # why it was rejected, empty if it was not
-    timed_out: bool = False  # whether it took too long to prepare
 
     def is_same(self, other: "PathAnswer") -> bool:
         """Return whether another answer has the same route in the same frame."""
@@ -80,8 +78,7 @@ def answer(request: PathRequest, fit: Fit = route_of_message) -> PathAnswer:
         frame = frame_of(request.raw)
         route = request.fitted(fit)
     except Exception as error:  # whatever it is, the next path is another one
-        timed_out = isinstance(error, PathTimeoutError)
-        return PathAnswer(request, frame, problem=reason(error), timed_out=timed_out)
+        return PathAnswer(request, frame, problem=reason(error))
     return PathAnswer(request, frame, route)
 
 
