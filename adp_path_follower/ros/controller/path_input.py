@@ -124,7 +124,8 @@ class PathInput:
             self.followed = found
             return
         missing = self._frame.unknown(found.frame)
-        if missing and present is not None:
+        # Whoever sent a goal waits for its own path, and is told when that takes too long.
+        if missing and present is not None and found.request.goal is None:
             self._waiting = found
             self._node.get_logger().info(
                 f"the new path waits, and the present one stays: {missing}"

@@ -167,6 +167,10 @@ def test_goals_that_cannot_be_reached_say_why(planner):
     ):
         assert planner.result(planner.send(poses, **given)) == (GoalStatus.STATUS_ABORTED, code)
         assert not planner.commands or is_zero(planner.commands[-1])
+    planner.send(line(0.0, 5.0))
+    planner.until_moving()
+    handle = planner.send(line(0.0, 5.0), frame="map")
+    assert planner.result(handle) == (GoalStatus.STATUS_ABORTED, codes.TF_ERROR)
     handle = planner.send(line(0.0, 5.0))
     planner.until_moving()
     peer.node.destroy_timer(timer)
