@@ -30,9 +30,8 @@ def test_a_jump_is_taken_up_at_once_and_is_no_drift():
     frame.take(np.zeros(3), 0, robot)
     jumped = np.array([0.0, 0.6, 0.1])
     moved, turned = frame.correction(jumped, robot)
-    assert moved == pytest.approx(
-        math.hypot(2.0 * (math.cos(0.1) - 1.0), 0.6 + 2.0 * math.sin(0.1))
-    )
+    aside = 0.6 + 2.0 * math.sin(0.1)
+    assert moved == pytest.approx(math.hypot(2.0 * math.cos(0.1) - 2.0, aside))
     assert turned == pytest.approx(0.1)
     frame.take(jumped, PERIOD, robot)
     expected = [2.0 * math.cos(0.1), aside, 0.1]
