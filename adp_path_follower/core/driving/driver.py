@@ -357,7 +357,7 @@ class Driver:
         )
 
     def _of_segment(self, settings: Settings) -> Settings:
-        if settings.robot.robot_model != "ideal":  # whose delay is predicted there
+        if self.robot.measured and settings.robot.robot_model != "ideal":  # and its delay predicted
             settings = update(settings, {"actuation_delay": 0.0})
         return turned_settings(settings) if self._present.reverse else settings
 

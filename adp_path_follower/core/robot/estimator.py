@@ -33,6 +33,8 @@ _LEAST_GAINS, _MOST_GAINS = np.array([0.88, 0.8, -0.15]), np.array([1.12, 1.25, 
 _FLOOR = np.array([1e-4, 1e-4, 2e-4, 2e-3, 4e-3]) ** 2  # of the noise of a message
 _NOISE = np.array([0.005, 0.005, 0.01, 0.01, 0.02]) ** 2  # at the start
 _MOST_NOISE = np.array([0.05, 0.1]) ** 2  # of v and w
+_LITTLE_NOISE = np.array([0.003, 0.003, 0.006]) ** 2  # of the pose
+_SURE, _SMALL = 4.0, 1e-3  # standard deviations, and gain or bias, that are not chance
 _ADAPTATION = 0.04  # share of one message in the noise, ...
 _EARLY = 0.2  # of the first one
 _JUMP = 9.0  # squared distance of a wheel's velocity that the model has missed
@@ -54,7 +56,8 @@ class StateEstimator:
         self._learns = learns
         self.noise: FloatArray = _NOISE.copy()  # variances of x, y, theta, v, w in a message
         self._means = np.zeros((_COUNT, 8))
-        self._means[:, _GAINS] = model.linear_gain, model.angular_gain, model.bias
+        self._start_gains = np.array([model.linear_gain, model.angular_gain, model.bias])
+        self._means[:, _GAINS] = self._start_gains
         self._covariances = np.zeros((_COUNT, 8, 8))
         if learns:
             self._covariances[:, _GAINS, _GAINS] = np.diag(_GAINS_START)
@@ -96,6 +99,15 @@ class StateEstimator:
     def deviations(self) -> FloatArray:
         """Return the standard deviations of k_v, k_w and b, shape (3,)."""
         return np.sqrt(np.diag(self._covariance)[_GAINS])
+
+    @property
+    def tells_more(self) -> bool:
+        """Return whether odometry needs a filter, or gains or bias are not those of the start."""
+        if self._share > _ADAPTATION:
+            return False
+        unlike = np.abs(self._mean[_GAINS] - self._start_gains)
+        found = unlike > _SURE * self.deviations + _SMALL
+        return bool(found.any() or (self.noise[_POSE] > _LITTLE_NOISE).any())
 
     def forget_state(self) -> None:
         """Begin anew with the next message: the robot was not observed; gains stay."""

@@ -56,6 +56,7 @@ class Robot:
     def __init__(self, settings: Settings, learned: tuple[float, ...] = ()) -> None:
         """Begin with the model of the settings, or with one that was learned before."""
         self.settings = settings
+        self.measured = False  # whether its motion was known at the last step
         self.reset(RobotModel(*learned) if learned else None)
 
     def reset(self, learned: RobotModel | None = None) -> None:
@@ -71,13 +72,15 @@ class Robot:
         self._estimator = StateEstimator(start, self._learns)
         self._bank = ResponseBank(start)
         self._trial = Trial()
-        self._found = self._bank.response()
+        self._found = self._unknown = self._bank.response()
         self._origin: int | None = None
         self._now = self._review = 0.0
         self._period, self._rate = 0.0, np.zeros(2)  # from the last command to the next
         self._reading: tuple[float, float, float] | None = None
         self._acting: RobotState | None = None  # when the next command begins to act
         self._ahead = 0.0
+        # Whether nothing tells the robot from an ideal one that is observed well.
+        self._plain = self._learns and start.ideal
         self._shown = 0  # the time for which the controller was asked last [ns]
 
     def take_over(self, settings: Settings) -> None:
@@ -142,7 +145,7 @@ class Robot:
         `pose` (3,) is odometry's, moved on to now, `time` [ns]; `motion` its v, w and age [s], if
         known.
         """
-        self._acting = None
+        self._acting, self.measured = None, motion is not None
         if self._kind == "ideal" or motion is None:
             self._origin = None
             return pose, time
@@ -158,7 +161,7 @@ class Robot:
             self._period = min(elapsed, _LONGEST_PERIOD)
         self._take(pose.tolist(), *motion.tolist())
         self._settle(elapsed)
-        if self.problem:
+        if self._plain or self.problem:
             return pose, time
         model, known = self.model, self._estimator.stamp
         assert known is not None  # it has just taken in a message
@@ -195,7 +198,9 @@ class Robot:
             angular_lag=model.angular_lag + share * (found.angular_lag - model.angular_lag),
             ramp=found.ramp,
         )
-        self.model = self._estimator.with_gains(model)
+        if self._plain and (self._estimator.tells_more or found != self._unknown):
+            self._plain = False
+        self.model = model if self._plain else self._estimator.with_gains(model)
         self._history.ramp = found.ramp
 
     def command(self, wanted: FloatArray) -> FloatArray:

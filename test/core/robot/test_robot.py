@@ -56,7 +56,7 @@ def test_it_finds_the_robot(seed):
     assert model.angular_gain == pytest.approx(turn_gain, abs=0.025)
     assert model.bias == pytest.approx(bias, abs=0.01)
     assert models.driver.robot.explained > 0.5
-    assert outcome.rms < 0.004
+    assert outcome.rms < 0.005  # the noise of the position
     ideal = run(robot, tuning=settings("ideal"))
     assert outcome.rms < 0.5 * ideal.rms
     assert outcome.cost < ideal.cost
@@ -80,11 +80,20 @@ def test_a_robot_that_is_given_is_driven_as_well():
 
 
 def test_an_ideal_robot_is_driven_as_before():
-    robot = Robot()
-    models = Models()
-    learned, ideal = run(robot, seen=models), run(robot, tuning=settings("ideal"))
-    assert learned.cost == pytest.approx(ideal.cost, rel=1e-4)
-    assert all(model.delay == model.angular_lag == 0.0 for model in models.found)
+    learned, ideal = run(Robot(), 12.0), run(Robot(), 12.0, tuning=settings("ideal"))
+    assert learned.trace.tolist() == ideal.trace.tolist()
+
+
+def test_without_its_motion_the_known_delay_is_predicted_all_the_same():
+    known = {"actuation_delay": 0.1}
+    drivers = Driver(settings(**known)), Driver(settings("ideal", **known))
+    pose, time = np.array([0.1, -0.2, 0.3]), 0
+    for driver in drivers:
+        driver.follow(circle(0.5))
+    for _ in range(20):
+        time += 10_000_000
+        found = [driver.step(pose, time).command.tolist() for driver in drivers]
+        assert found[0] == found[1]
 
 
 def test_two_drives_are_equal_to_the_last_bit():
@@ -108,17 +117,6 @@ def test_reset_forgets_the_robot():
     assert models.driver.robot.model.delay > 0.0
     models.driver.reset_learning()
     assert models.driver.robot.model.ideal
-
-
-def test_without_its_motion_the_robot_is_taken_for_ideal():
-    learned, ideal = Driver(settings()), Driver(settings("ideal"))
-    pose, time = np.array([0.1, -0.2, 0.3]), 0
-    for driver in (learned, ideal):
-        driver.follow(circle(0.5))
-    for _ in range(5):
-        time += 10_000_000
-        found = [driver.step(pose, time).command.tolist() for driver in (learned, ideal)]
-        assert found[0] == found[1]
 
 
 def test_encoders_with_the_wrong_sign_do_no_more_harm_than_before():
