@@ -38,7 +38,7 @@ class Transforms:
             child, parent = frame_name(item.child), frame_name(item.parent)
             edge = self._edges.setdefault(child, _Edge(parent, is_static=is_static))
             if edge.parent == parent and np.isfinite(item.pose).all():
-                edge.rows.append((arrival, item.stamp, *item.pose.tolist()))
+                edge.rows.append((arrival, item.stamp, *item.pose))
 
     def moved(
         self, poses: FloatArray, source: str, target: str, times: np.ndarray, by_arrival: bool

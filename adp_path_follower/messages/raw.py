@@ -86,7 +86,7 @@ class Transform(NamedTuple):
     stamp: int  # time [ns]
     parent: str
     child: str
-    pose: FloatArray  # x [m], y [m], turn [rad], shape (3,)
+    pose: tuple[float, float, float]  # x [m], y [m], turn [rad]
 
 
 def read_transforms(raw: bytes) -> list[Transform]:
@@ -102,7 +102,7 @@ def read_transforms(raw: bytes) -> list[Transform]:
             child, at = _text(raw, _aligned(at, 4), order)
             x, y, _, *turn = struct.unpack_from(f"{order}7d", raw, _aligned(at, 8))
             at = _aligned(at, 8) + _POSE
-            pose = np.array([x, y, yaw_of_quaternion(*turn)])
+            pose = x, y, yaw_of_quaternion(*turn)
             found.append(Transform(seconds * _NANOSECONDS + nanoseconds, parent, child, pose))
     except struct.error:
         raise _too_short() from None

@@ -7,6 +7,7 @@ each pair counts: what it is at the time of the odometry would be known only lat
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,10 +79,13 @@ class Frames:
         except CdrError:
             return
         for item in found:
-            if np.isfinite(item.pose).all():
+            if math.isfinite(sum(item.pose)):
                 stamp = None if is_static else item.stamp
-                self._edges[item.child] = item.parent, item.pose, stamp
-        self._known.clear()
+                self._edges[item.child] = item.parent, np.array(item.pose), stamp
+        # Most transforms are of joints, which are on no way to a path.
+        changed = {item.child for item in found}
+        if any(changed.intersection(place.between) for place in self._known.values()):
+            self._known.clear()
 
     def _found(self, frame: str, within: str) -> FramePlace:
         way = way_between(self._parent, frame, within)
