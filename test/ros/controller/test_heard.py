@@ -54,5 +54,5 @@ def test_status_says_which_topic_is_not_heard(drive):
         peer.until(lambda text=text: status and text in status[-1].message, text)
         assert status[-1].level == DiagnosticStatus.WARN
         peer.node.destroy_publisher(publisher)
-        peer.until(lambda: status[-1].level == DiagnosticStatus.OK, "the end of it")
+        peer.until(lambda: status and status[-1].level == DiagnosticStatus.OK, "the end of it")
     drive.until_moving()
