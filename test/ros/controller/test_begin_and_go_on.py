@@ -137,7 +137,9 @@ def test_a_path_that_is_shortened_while_driving_is_gone_on_with_and_replays(peer
     recorder = start("recorder", output=str(tmp_path / "bag"))
     start("sim_unicycle")
     peer.until_matched(peer.path)
-    peer.until(lambda: "recording /cmd_vel\n" in recorder.output(), "a recorder")
+    # The status is latched; zero velocities end before a late recorder hears one.
+    heard = "recording /path_follower/status\n"
+    peer.until(lambda: heard in recorder.output(), "a recorder")
     poses, _ = read_poses(CASES / "turn_on_the_spot.csv")
     peer.path.publish(poses_message(poses, "odom", 0))
     peer.until(lambda: odometry and odometry[-1].pose.pose.position.x > 0.3, "a beginning")
