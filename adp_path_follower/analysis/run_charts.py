@@ -37,12 +37,12 @@ _DISTANCES = np.linspace(-1.0, 1.0, 41)  # [m]
 _ANGLES = np.radians(np.linspace(-90.0, 90.0, 41))
 _HALTS = ("waiting", "stopped", "fault")  # states in which the robot is not driven
 _GAP, _GAP_PERIODS = 0.25, 5.0  # [s] and periods without a command that leave a gap
-_BUCKETS = 2000  # of a line, shared by the bags
-_WEIGHT_BUCKETS = 600  # of one of many
+_BUCKETS = 1600  # of a line, shared by the bags
+_WEIGHT_BUCKETS = 450  # of one of many
 _GREY_BUCKETS = 200  # of a weight that is only there for the whole
 _NAMED_WEIGHTS = 10
 _LEAST_DISTANCE = 1e-6  # [m] that colours are told apart for
-_POSES = 3000  # that the robot is moved through, shared by the bags
+_POSES = 2000  # that the robot is moved through, shared by the bags
 
 
 def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Charts:
