@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields, replace
 
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.robot.model import RobotModel
+from adp_path_follower.core.settings.robot import bias_setting, gains_setting
 from adp_path_follower.core.settings.schema import POSITIVE, setting
 
 _WIRING = "the node's topics and timers are made from it"
@@ -73,22 +74,8 @@ class PlantSettings:
         low=0.0,
         high=10.0,
     )
-    gains: tuple[float, ...] = setting(
-        (1.0, 1.0),
-        "True linear and angular velocity, as multiples of those that the encoders report.",
-        symbol="k_v, k_ω",
-        low=0.5,
-        high=2.0,
-        lengths=(2,),
-    )
-    bias: float = setting(
-        0.0,
-        "Turn that comes with each metre of driving straight, positive to the left.",
-        symbol="b",
-        unit="rad/m",
-        low=-1.0,
-        high=1.0,
-    )
+    gains: tuple[float, ...] = gains_setting("those that the encoders report")
+    bias: float = bias_setting()
     linear_slip: float = setting(
         0.0,
         "Lost share of the wheels' linear velocity; odometry reports the wheels' velocity.",

@@ -14,7 +14,12 @@ PACKAGE = FilePath(adp_path_follower.__file__).parent
 # The nodes are for those who have ROS; `test_layering` blocks it for the core.
 WITHOUT_ROS = ["cli", "analysis", "study", "drawing", "bags", "messages"]
 # Modules, no packages, that a command imports after it has required their extra.
-REQUIRED_BEFORE = ("analysis/bag_page", "drawing/page_figures", "study/sweeps/")
+REQUIRED_BEFORE = (
+    "analysis/bag_page",
+    "drawing/page_figures",
+    "drawing/runs_page",
+    "study/sweeps/",
+)
 
 
 def test_nothing_needs_an_optional_library_on_import_or_changes_the_backend_of_matplotlib():

@@ -12,6 +12,7 @@ from adp_path_follower.analysis.bag_analysis import NOT_MEASURED, BagAnalysis, n
 from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.run_charts import LEARNED
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.criteria import OFF_PATH, SETTLED
 from adp_path_follower.drawing.charts import Charts, ShownRun
 from adp_path_follower.drawing.figure_style import color
 from adp_path_follower.drawing.page import write_page
@@ -100,7 +101,6 @@ _COSTS = ("cost", "cost_ratio", "bellman_error_rms")
 _COST_OF = ("state_cost", "input_cost", "desired_speed", "target_gain")
 
 
-_OFF = 0.5  # [m] from which on a robot is off its path
 _EARLY, _LATE = 0.5, 0.25  # [s] at the beginning, share of the run at the end
 _MOST = 1e9  # a Bellman error beyond it is that of a damaged message
 
@@ -215,7 +215,7 @@ def _headline(analysis: BagAnalysis) -> Headline:
     metrics = analysis.metrics
     faults = sum(event.kind == "fault" for event in analysis.events)
     distance, farthest = metrics["steady_cross_track_rms"], metrics["steady_cross_track_max"]
-    on_path = not farthest > _OFF
+    on_path = not farthest > OFF_PATH
     sentences = [f"{number(metrics['path_covered'], 4)} m of the path were driven"]
     if math.isfinite(distance):
         sentences.append(f"{_millimetres(distance)} from it (root mean square, when settled)")
@@ -230,10 +230,14 @@ def _headline(analysis: BagAnalysis) -> Headline:
             _millimetres(distance),
             f"at most {_millimetres(farthest)}; root mean square, when settled",
         ),
-        ("settled after", _with_unit(metrics["settling_time"], "s"), "error below 0.05 from then"),
+        (
+            "settled after",
+            _with_unit(metrics["settling_time"], "s"),
+            f"error below {SETTLED:g} from then",
+        ),
         _learned_card(analysis),
         ("robot model", _text(analysis, "robot_model"), "of the controller"),
-        ("faults", str(faults), _times(analysis)),
+        ("faults", str(faults), _halted(analysis)),
     )
     verdict = f"{', '.join(sentences)}; {ending}."
     return Headline(analysis.name, on_path and not faults, verdict, cards)
@@ -269,7 +273,7 @@ def _middle(values: FloatArray) -> float:
     return float(np.median(values))
 
 
-def _times(analysis: BagAnalysis) -> str:
+def _halted(analysis: BagAnalysis) -> str:
     halted = sum(float(np.diff(spans, axis=1).sum()) for spans in analysis.charts.halts.values())
     return f"{halted:.3g} s waiting or stopped" if halted else "never stopped on the way"
 

@@ -16,6 +16,7 @@ from adp_path_follower.analysis.recorded_run import (
 from adp_path_follower.core.control.error_dynamics import feedforward, path_state
 from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.safety.supervisor import State
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.criteria import transient
 from adp_path_follower.drawing.charts import (
@@ -35,7 +36,7 @@ from adp_path_follower.drawing.charts import (
 LEARNED = 0.4  # [s] after the first step, for which the second map is
 _DISTANCES = np.linspace(-1.0, 1.0, 41)  # [m]
 _ANGLES = np.radians(np.linspace(-90.0, 90.0, 41))
-_HALTS = ("waiting", "stopped", "fault")  # states in which the robot is not driven
+_HALTS = {State.WAITING.value, State.STOPPED.value, State.FAULT.value}
 _GAP, _GAP_PERIODS = 0.25, 5.0  # [s] and periods without a command that leave a gap
 _BUCKETS = 1600  # of a line, shared by the bags
 _WEIGHT_BUCKETS = 450  # of one of many

@@ -34,6 +34,9 @@ from sim_unicycle.settings import SimulatorSettings
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
+# Column of the race's table -> its digits.
+_RACE = {"J/J*, median": 4, "95 %": 4, "max": 4, "failed": 0, "settled in [s]": 2, "effort": 3}
+_RACE |= {"cross-track RMS [mm]": 3, "max [mm]": 2, "per step [ms]": 3}
 _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.inf")
 
 
@@ -163,14 +166,27 @@ def _table(found: Comparison) -> str:
 
 def _line(item: Outcome) -> str:
     """Return the table's line of one controller."""
-    ratios = "".join(_ratio(item.quantile(share)) for share in (0.5, 0.95, 1.0))
+    *ratios, failed, settled, effort, distance, farthest, step = _columns(item)
     return (
-        f"{item.name:37}{ratios}{int(item.failed.sum()):8d}"
-        + _number(_median(item.settling_time), 9, 2)
-        + _number(_median(item.effort[~item.failed]), 8, 3)
-        + _number(1e3 * item.cross_track_rms, 10, 2)
-        + _number(1e3 * item.cross_track_max, 9, 2)
-        + f"{1e3 * item.step_time:11.3f}"
+        f"{item.name:37}{''.join(map(_ratio, ratios))}{failed:8.0f}"
+        + _number(settled, 9, 2)
+        + _number(effort, 8, 3)
+        + _number(distance, 10, 2)
+        + _number(farthest, 9, 2)
+        + f"{step:11.3f}"
+    )
+
+
+def _columns(item: Outcome) -> tuple[float, ...]:
+    """Return J/J* (median, 95 %, largest), failed runs, time, effort, distances [mm], step [ms]."""
+    return (
+        *(item.quantile(share) for share in (0.5, 0.95, 1.0)),
+        float(item.failed.sum()),
+        _median(item.settling_time),
+        _median(item.effort[~item.failed]),
+        1e3 * item.cross_track_rms,
+        1e3 * item.cross_track_max,
+        1e3 * item.step_time,
     )
 
 
@@ -212,25 +228,13 @@ def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> N
 
 def _write_race(found: Comparison, file: FilePath) -> None:
     """Write the page on which all controllers start together."""
-    from adp_path_follower.study.simulation.page import Table, write_runs_page
+    from adp_path_follower.drawing.runs_page import Table, write_runs_page
 
-    columns = (
-        "controller", "J/J*, median", "95 %", "max", "failed", "settled in [s]", "effort",
-        "cross-track RMS [mm]", "max [mm]", "per step [ms]",
-    )  # fmt: skip
     ranked = sorted(found.outcomes, key=_rank)
     rows = []
     for item in ranked:
-        numbers = (
-            *((item.quantile(share), 4) for share in (0.5, 0.95, 1.0)),
-            (float(item.failed.sum()), 0),
-            (_median(item.settling_time), 2),
-            (_median(item.effort[~item.failed]), 3),
-            (1e3 * item.cross_track_rms, 3),
-            (1e3 * item.cross_track_max, 2),
-            (1e3 * item.step_time, 3),
-        )
-        cells = ((_number(value, 0, digits).strip(), value) for value, digits in numbers)
+        numbers = zip(_columns(item), _RACE.values(), strict=True)
+        cells = ((_number(value, 0, digits), value) for value, digits in numbers)
         rows.append(((item.name, math.nan), *cells))
     about = (
         f"Every controller drives one lap of {found.path_name} from the paper's start, with the "
@@ -240,7 +244,9 @@ def _write_race(found: Comparison, file: FilePath) -> None:
     )
     runs = [item.lap for item in ranked]
     title = f"Race of {len(runs)} controllers on {found.path_name}"
-    write_runs_page(file, title, about, "adp compare", runs, Table(columns, tuple(rows)))
+    write_runs_page(
+        file, title, about, "adp compare", runs, Table(("controller", *_RACE), tuple(rows))
+    )
 
 
 def _numbers(found: Comparison) -> dict[str, Any]:

@@ -105,7 +105,7 @@ def simulator_options(command: Command) -> Command:
         metavar="NAME|FILE",
         help="Simulate this robot: ideal, turtlebot4, turtlebot3_burger, turtlebot3_waffle_pi, "
         "jackal, husky or late, or a file that `adp identify` wrote.",
-    )(found)  # type: ignore[return-value]
+    )(found)  # type: ignore[return-value]  # click gives its wrapper the type of the wrapped
 
 
 def topic_options(*names: str) -> Callable[[Command], Command]:

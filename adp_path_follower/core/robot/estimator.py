@@ -1,7 +1,7 @@
-"""The state of a robot from late and noisy odometry, and its gains and bias: one Kalman filter.
+"""The state of a robot from late and noisy odometry, its gains and its bias: Kalman filters.
 
-The state is [x, y, theta, v, w, k_v, k_w, b] with the model's symbols. Between two messages it
-moves as the model does with the commands that acted meanwhile; a message corrects it by the
+The state of each is [x, y, theta, v, w, k_v, k_w, b] with the model's symbols. Between two messages
+it moves as the model does with the commands that acted meanwhile; a message corrects it by the
 localised pose and by the encoders' twist. Their noise is found from what remains after the
 correction.
 """

@@ -2,10 +2,35 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from adp_path_follower.core.settings.schema import POSITIVE, setting
 
 ROBOT_MODELS = ("ideal", "given", "learned")
+
+
+def gains_setting(others: str) -> Any:
+    """Declare k_v and k_w, the true velocities as multiples of others."""
+    return setting(
+        (1.0, 1.0),
+        f"True linear and angular velocity, as multiples of {others}.",
+        symbol="k_v, k_ω",
+        low=0.5,
+        high=2.0,
+        lengths=(2,),
+    )
+
+
+def bias_setting() -> Any:
+    """Declare the bias b of a robot."""
+    return setting(
+        0.0,
+        "Turn that comes with each metre of driving straight, positive to the left.",
+        symbol="b",
+        unit="rad/m",
+        low=-1.0,
+        high=1.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -32,19 +57,5 @@ class RobotSettings:
         unit="m/s²",
         low=POSITIVE,
     )
-    robot_gains: tuple[float, ...] = setting(
-        (1.0, 1.0),
-        "True linear and angular velocity, as multiples of the commanded ones.",
-        symbol="k_v, k_ω",
-        low=0.5,
-        high=2.0,
-        lengths=(2,),
-    )
-    robot_bias: float = setting(
-        0.0,
-        "Turn that comes with each metre of driving straight, positive to the left.",
-        symbol="b",
-        unit="rad/m",
-        low=-1.0,
-        high=1.0,
-    )
+    robot_gains: tuple[float, ...] = gains_setting("the commanded ones")
+    robot_bias: float = bias_setting()

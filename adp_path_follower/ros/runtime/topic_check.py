@@ -1,4 +1,4 @@
-"""Whether topics that a node expects are published so that it hears them."""
+"""Checks that a node can hear the topics that it expects."""
 
 import time as steady
 from collections.abc import Mapping

@@ -20,7 +20,7 @@ from adp_path_follower.drawing.charts import ShownRun
 from adp_path_follower.study.comparison.controllers import Contender, contenders
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
 from adp_path_follower.study.optimum.problem import OptimumError
-from adp_path_follower.study.simulation.page import shown_run
+from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings

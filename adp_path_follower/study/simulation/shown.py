@@ -1,8 +1,4 @@
-"""Simulated runs on a page: all start together on one map."""
-
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path as FilePath
+"""Simulated runs as a page shows them."""
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -26,14 +22,6 @@ from adp_path_follower.study.simulation.trajectories import Trajectories
 
 _BUCKETS = 2500  # of a curve, shared by the runs
 _POINTS, _SAMPLES = 1500, 6000  # of a track and of a motion, likewise
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table that the reader can sort."""
-
-    columns: tuple[str, ...]  # the first names a run
-    rows: tuple[tuple[tuple[str, float], ...], ...]  # text and number of each cell but the first
 
 
 def shown_run(
@@ -83,30 +71,3 @@ def shown_run(
         samples=max(500, _SAMPLES // among),
     )
     return ShownRun(name, Charts(track, panels))
-
-
-def write_runs_page(
-    file: FilePath, title: str, about: str, maker: str, runs: Sequence[ShownRun], table: Table
-) -> None:
-    """Write the page of runs that start together; raise AdpError if it cannot be written."""
-    from adp_path_follower.drawing.figure_style import color
-    from adp_path_follower.drawing.page import write_page
-    from adp_path_follower.drawing.page_figures import distance_scales, motions, page_figures
-
-    captions = (
-        ("track", "The race", "Every arrow is a robot at the time of the slider below."),
-        ("distance", "Distance from the path", "Positive to the left of the path."),
-        ("cost", "Cost so far", "∫ eᵀQe + uᵀRu from the start: the lowest curve is the best."),
-        ("commands", "Commands", "Each holds until the next; the dashed lines are the limits."),
-    )
-    write_page(
-        file,
-        "runs",
-        {"figures": page_figures(runs), "motions": motions(runs), "scales": distance_scales()},
-        title=title,
-        about=about,
-        maker=maker,
-        names=[(run.name, color(index)) for index, run in enumerate(runs)],
-        captions=captions,
-        table=table,
-    )
