@@ -13,6 +13,8 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.drawing.figure_style import COLORS, STYLE
 
 _EARLY = 15.0  # [s] that the left panels show
+# A legend below its axes, as a path may lie anywhere in them.
+_BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "ncols": 2}
 _START = 8.0  # [s] that the close-up of the path shows
 
 
@@ -90,7 +92,7 @@ def _path(view: RunView, optimum: ReferenceMotion | None) -> Figure:
         axes.set_ylabel("y [m]")
     wide.plot(*view.track[0, :2], "o", color=COLORS[1], label="start")
     wide.plot(*view.track[-1, :2], "s", color=COLORS[2], label="end")
-    wide.legend(loc="upper left", fontsize=8)
+    wide.legend(**_BELOW)
     wide.set_title("Path and robot")
     # The first seconds decide the cost, and are too small to see in the whole.
     early = view.time <= _START
@@ -119,7 +121,7 @@ def _path(view: RunView, optimum: ReferenceMotion | None) -> Figure:
     shown = np.vstack([view.track[early, :2], view.target[early]])
     near.set_xlim(shown[:, 0].min() - 0.3, shown[:, 0].max() + 0.3)
     near.set_ylim(shown[:, 1].min() - 0.3, shown[:, 1].max() + 0.3)
-    near.legend(loc="upper left", fontsize=8)
+    near.legend(**_BELOW)
     near.set_title("The start (an arrow every second)")
     figure.tight_layout()
     return figure
