@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pages import wait_until
 
 from bag_messages import drive_on_line, learner_run, text, twist, write_bag
 
@@ -248,7 +249,7 @@ def test_zoom_in_one_figure_zooms_time_in_all_and_the_vertical_axes_follow(pages
     whole = visit.page.evaluate(f"{axes % 'errors'}.xaxis.range")
     zoom = "Plotly.relayout(document.getElementById('figure-errors'), %s)"
     visit.page.evaluate(zoom % "{'xaxis.range[0]': 8, 'xaxis.range[1]': 10}")
-    visit.page.wait_for_function(f"{axes % 'events'}.xaxis.range[0] === 8")
+    wait_until(visit.page, f"{axes % 'events'}.xaxis.range[0] === 8")
     for figure in ("errors", "commands", "weights"):
         assert visit.page.evaluate(f"{axes % figure}.xaxis.range") == [8, 10]
     low, high = visit.page.evaluate(f"{axes % 'errors'}.yaxis.range")
@@ -259,7 +260,7 @@ def test_zoom_in_one_figure_zooms_time_in_all_and_the_vertical_axes_follow(pages
     assert low <= min(shown) <= max(shown) <= high
     assert high - low < 1.2 * (max(shown) - min(shown)) + 1e-9
     visit.page.evaluate(zoom % "{'xaxis.autorange': true}")
-    visit.page.wait_for_function(f"{axes % 'events'}.xaxis.range[0] === {whole[0]}")
+    wait_until(visit.page, f"{axes % 'events'}.xaxis.range[0] === {whole[0]}")
 
 
 def test_the_first_screen_says_what_came_out(visits):
