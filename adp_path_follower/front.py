@@ -17,8 +17,7 @@ from adp_path_follower.core.path.library import named_path, path_through
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings as read_settings
 from adp_path_follower.resources import parameter_file
-from sim_unicycle.robots import simulator_settings
-from sim_unicycle.settings import PlantSettings
+from sim_unicycle.settings import PlantSettings, simulator_settings
 
 if TYPE_CHECKING:
     from adp_path_follower.analysis.bag_analysis import BagAnalysis

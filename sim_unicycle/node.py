@@ -27,8 +27,7 @@ from adp_path_follower.ros.runtime.run import Ending, run_node
 from adp_path_follower.ros.runtime.triggers import trigger_services
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.odometry import Reading
-from sim_unicycle.robots import with_robot
-from sim_unicycle.settings import SimulatorSettings
+from sim_unicycle.settings import SimulatorSettings, with_robot
 from sim_unicycle.transforms import Transforms
 from sim_unicycle.unicycle import Unicycle
 

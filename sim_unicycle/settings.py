@@ -1,12 +1,15 @@
-"""Settings of the simulator."""
+"""Settings of the simulator, and robots by name: those of config/robots, with their sources."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.robot.model import RobotModel
+from adp_path_follower.core.settings.parameter_file import read_parameters
 from adp_path_follower.core.settings.robot import bias_setting, gains_setting
-from adp_path_follower.core.settings.schema import POSITIVE, setting
+from adp_path_follower.core.settings.schema import POSITIVE, build, setting
+from adp_path_follower.resources import shipped_file
 
 _WIRING = "the node's topics and timers are made from it"
 _START = "it is where the run starts; call ~/reset to start again"
@@ -318,3 +321,19 @@ class SimulatorSettings:
                     f"setting '{item.name}' is {value!r}, but lock-step waits for an answer to "
                     "every odometry message: set lockstep to false, or leave the messages alone"
                 )
+
+
+def with_robot(values: Mapping[str, object]) -> dict[str, object]:
+    """Return the parameters of the robot that 'robot' names, changed by the given ones.
+
+    Raises FileError if there is no such robot.
+    """
+    name = values.get("robot")
+    if not name:
+        return dict(values)
+    return {**read_parameters(shipped_file("robots", str(name), "robot"), "unicycle_sim"), **values}
+
+
+def simulator_settings(values: Mapping[str, object]) -> SimulatorSettings:
+    """Return the simulator's settings; AdpError for a robot or value that there is not."""
+    return build(SimulatorSettings, with_robot(values))

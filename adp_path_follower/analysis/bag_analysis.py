@@ -75,7 +75,7 @@ class BagAnalysis:
 
     def plot(self, axes: "Axes | None" = None) -> "Axes":
         """Plot where the robot drove, on given axes or new ones; return them."""
-        from adp_path_follower.drawing.result_plots import draw_track, plotted
+        from adp_path_follower.drawing.run_figures import draw_track, plotted
 
         return plotted(lambda place: draw_track(place, self.charts.track), axes)
 

@@ -8,9 +8,8 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from adp_path_follower.analysis.followed import followed_routes
+from adp_path_follower.analysis.followed import followed_routes, segments_driven
 from adp_path_follower.analysis.motion import Motion, motion_of
-from adp_path_follower.analysis.segments import segments_driven
 from adp_path_follower.analysis.stamps import Clock, Timeline, timed_stamps, timeline
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Diagnostic, Run

@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from adp_path_follower.bags.opening import opened_bag
+from adp_path_follower.bags.reader import opened_bag
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.messages.cdr import CdrError
 from adp_path_follower.messages.raw import read_transforms as raw_transforms

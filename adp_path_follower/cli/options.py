@@ -16,8 +16,7 @@ from adp_path_follower.core.path.library import PATH_HELP
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import FORTY_STARTS, parameter_file
 from adp_path_follower.study.simulation.simulate import PAPER_START, read_starts
-from sim_unicycle.robots import with_robot
-from sim_unicycle.settings import SimulatorSettings
+from sim_unicycle.settings import SimulatorSettings, with_robot
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

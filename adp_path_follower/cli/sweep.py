@@ -44,7 +44,7 @@ def sweep(
     report.html (heat maps and the Pareto front) and best.yaml (the best settings).
     """
     require("adp sweep", "sweep")
-    from adp_path_follower.study.sweeps.request.files import read_sweep
+    from adp_path_follower.study.sweeps.request.request import read_sweep
     from adp_path_follower.study.sweeps.results import results
     from adp_path_follower.study.sweeps.study import sweep_study
     from adp_path_follower.study.sweeps.workers.folder import PartsFolder

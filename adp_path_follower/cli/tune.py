@@ -69,7 +69,7 @@ def tune(
     best.yaml, which the node loads. An interrupted search goes on with the same command.
     """
     require("adp tune", "sweep")
-    from adp_path_follower.study.sweeps.request.files import read_tuning, tuning_of_options
+    from adp_path_follower.study.sweeps.request.request import read_tuning, tuning_of_options
 
     if file is None:
         asked = tuning_of_options(params, assignments, vary, objectives)

@@ -1,16 +1,85 @@
-"""The paper's figures 2 to 5 of a run, recorded or simulated."""
+"""Pictures that matplotlib draws: the paper's figures 2 to 5, and quick looks at results."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.drawing.charts import Track, extremes
 from adp_path_follower.drawing.figure_style import COLORS, STYLE
+
+_POINTS = 2000  # of a curve
+_LABELS = ("v [m/s]", "ω [rad/s]")
+
+# Time [s] (N,), measured v, w (N, 2), and those of the model (N, 2).
+Course = tuple[FloatArray, FloatArray, FloatArray]
+
+
+def draw_robot(courses: Sequence[Course], file: FilePath) -> None:
+    """Draw each drive over time, one after the other, and measured against modelled velocities."""
+    save_figures({file.name: lambda: _figure(courses)}, file.parent)
+
+
+def _figure(courses: Sequence[Course]) -> Figure:
+    figure = Figure(figsize=(11.0, 6.0))
+    panels = figure.subplots(2, 2, width_ratios=[3.0, 1.0])
+    for part, ((over_time, scatter), label) in enumerate(zip(panels, _LABELS, strict=True)):
+        begin = 0.0
+        for time, measured, model in courses:
+            drawn = begin + time - time[0]
+            begin = float(drawn[-1]) + 1.0
+            for name, values, shade in (("measured", measured, "0.6"), ("model", model, COLORS[0])):
+                kept = extremes(values[:, part], _POINTS)
+                over_time.plot(drawn[kept], values[kept, part], color=shade, label=name)
+            scatter.plot(model[:, part], measured[:, part], ".", color=COLORS[0], markersize=2)
+        reach = np.concatenate([model[:, part] for _, _, model in courses])
+        ends = [float(reach.min()), float(reach.max())]
+        scatter.plot(ends, ends, color="0.4", linewidth=1)
+        over_time.set_ylabel(label)
+        scatter.set_xlabel(f"model: {label}")
+        scatter.set_ylabel("measured")
+    names, lines = panels[0, 0].get_legend_handles_labels()
+    panels[0, 0].legend(names[:2], lines[:2], loc="upper right")
+    panels[1, 0].set_xlabel("time [s]")
+    figure.tight_layout()
+    return figure
+
+
+def plotted(draw: Callable[[Axes], None], axes: Axes | None) -> Axes:
+    """Draw on axes, or on those of a new figure of pyplot; return them."""
+    if axes is None:  # outside the context, which would undo that notebooks show its figures
+        import matplotlib.pyplot as plt
+
+        axes = plt.subplots(figsize=(7.0, 4.0), dpi=STYLE["figure.dpi"], layout="constrained")[1]
+    with mpl.rc_context(STYLE):
+        draw(axes)
+    axes.grid(visible=True, alpha=STYLE["grid.alpha"])
+    axes.spines[["top", "right"]].set_visible(False)
+    return axes
+
+
+def draw_errors(axes: Axes, time: FloatArray, error: FloatArray) -> None:
+    """Draw e = [s, y, theta], shape (T, 3), over time [s], shape (T,)."""
+    for column, label in enumerate(("s [m]", "y [m]", "θ [rad]")):
+        axes.plot(time, error[:, column], color=COLORS[column], label=label)
+    axes.set(xlabel="time [s]", title="Errors to the virtual target")
+    axes.legend()
+
+
+def draw_track(axes: Axes, track: Track) -> None:
+    """Draw where a robot drove, over its path."""
+    axes.plot(*track.path.T, color="0.75", linewidth=4, label="path")
+    axes.plot(*track.position.T, color=COLORS[0], label="robot")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="x [m]", ylabel="y [m]", title="Path and track")
+    axes.legend()
+
 
 _EARLY = 15.0  # [s] that the left panels show
 # A legend below its axes, as a path may lie anywhere in them.

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 import yaml
 
 from adp_path_follower import __version__
-from adp_path_follower.core.driving.counts import Counts
+from adp_path_follower.core.driving.output import Counts
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import parse_yaml
 from adp_path_follower.core.path.curve import Path

@@ -9,7 +9,7 @@ from relay import relay_with
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from adp_path_follower.ros.controller.watchdog import Watchdog
+from adp_path_follower.ros.controller.commands import Watchdog
 
 _SERVICES = ("reset_learning", "stop", "resume", "save_weights")
 

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.analysis.segments import _monotone, segments_driven
+from adp_path_follower.analysis.followed import _monotone, segments_driven
 from adp_path_follower.core.path.preparation import prepare
 from adp_path_follower.core.settings.groups import PathSettings
 

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from adp_path_follower.bags.background_file import BackgroundFile
+from adp_path_follower.bags.bag_file import BackgroundFile
 from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.bags.writer import BagWriter, Limits
 from adp_path_follower.core.errors import FileError

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.writer import BagWriter
-from adp_path_follower.core.driving.counts import Counts
+from adp_path_follower.core.driving.output import Counts
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
@@ -25,9 +25,8 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.messages.configuration import configuration_text, parse_configuration
 from adp_path_follower.study.demo.closed_loop import run_closed_loop
 from adp_path_follower.study.replay import republish
-from adp_path_follower.study.replay.replay import replay, rerun
+from adp_path_follower.study.replay.replay import compare_weights, replay, rerun
 from adp_path_follower.study.replay.republish import recorded_messages
-from adp_path_follower.study.replay.weight_comparison import compare_weights
 from adp_path_follower.study.simulation.simulate import PAPER_START
 from bag_messages import odometry, path_message, raw
 from commands import adp

@@ -26,7 +26,7 @@ import yaml
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import flatten
-from adp_path_follower.study.sweeps.request.files import read_sweep
+from adp_path_follower.study.sweeps.request.request import read_sweep
 from adp_path_follower.study.sweeps.workers.cluster import noted_interrupts
 from adp_path_follower.study.sweeps.workers.folder import PartsFolder
 from adp_path_follower.study.sweeps.workers.runs import run_part

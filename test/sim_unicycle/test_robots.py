@@ -20,8 +20,7 @@ from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.comparison.controllers import contenders
 from adp_path_follower.study.simulation.simulate import simulate, without_nodes
 from folders import CONFIG
-from sim_unicycle.robots import simulator_settings
-from sim_unicycle.settings import PlantSettings
+from sim_unicycle.settings import PlantSettings, simulator_settings
 from sim_unicycle.unicycle import Unicycle
 
 DT = 0.01

@@ -49,7 +49,7 @@ def identify(
     """
     from adp_path_follower.analysis.identification.identify import identify as identified
     from adp_path_follower.analysis.identification.recording import read_recording
-    from adp_path_follower.drawing.robot_figure import draw_robot
+    from adp_path_follower.drawing.run_figures import draw_robot
 
     topics = given_topics(odom=odom, cmd=cmd, pose=pose)
     with output_directory(directory):

@@ -30,9 +30,8 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parse_assignment
 from adp_path_follower.extras import require
-from adp_path_follower.study.replay.replay import Replay, rerun
+from adp_path_follower.study.replay.replay import ComparedWeights, Replay, compare_weights, rerun
 from adp_path_follower.study.replay.replay import replay as replay_run
-from adp_path_follower.study.replay.weight_comparison import ComparedWeights, compare_weights
 from adp_path_follower.study.replay.write_bag import write_replay
 
 

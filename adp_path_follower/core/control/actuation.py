@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray, components, unpacked
-from adp_path_follower.core.path.reversing import turned_command
+from adp_path_follower.core.path.route import turned_command
 from adp_path_follower.core.settings.groups import LimitSettings, MotionSettings, Settings
 
 _LONGEST_DELAY = 1.0  # [s]: the highest actuation_delay; older commands are forgotten

@@ -12,7 +12,7 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.control.value_store import problem_of, stored, value_grid
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
-from adp_path_follower.core.path.reversing import turned_settings
+from adp_path_follower.core.path.route import turned_settings
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.learning import OWN_FAR_POLICIES, WIDE_REGIONS
 from adp_path_follower.core.settings.schema import build

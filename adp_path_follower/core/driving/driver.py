@@ -8,23 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.core.control.actuation import Actuation
-from adp_path_follower.core.driving.arrival import Standstill
-from adp_path_follower.core.driving.counts import Counts
+from adp_path_follower.core.driving.arrival import Standstill, turning_command
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.core.driving.output import FollowerOutput
-from adp_path_follower.core.driving.turning import turning_command
+from adp_path_follower.core.driving.output import Counts, FollowerOutput
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.learning.weights_file import SavedWeights
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.progress import CARRIED, NOISE, Left, Place, new_start, next_place
-from adp_path_follower.core.path.reversing import (
+from adp_path_follower.core.path.route import (
+    Route,
+    Segment,
+    route_of,
     turned_command,
     turned_error,
     turned_pose,
     turned_settings,
 )
-from adp_path_follower.core.path.route import Route, Segment, route_of
 from adp_path_follower.core.robot.robot import Robot
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import update
@@ -107,7 +107,7 @@ class Driver:
     def follower(self) -> PathFollower | None:
         """Return the follower of the present segment, None before the first step on the route.
 
-        In reverse it is that of a robot which faces the other way (`core.path.reversing`).
+        In reverse it is that of a robot which faces the other way (`core.path.route`).
         """
         return self._follower
 

@@ -10,6 +10,15 @@ from adp_path_follower.core.learning.weights import Weights
 
 
 @dataclass(frozen=True)
+class Counts:
+    """How often a robot was interfered with since the node's start."""
+
+    learning_resets: int = 0  # how often learning has been reset
+    restarts: int = 0  # how often following has begun anew from where the robot was then
+    stops: int = 0  # how often the robot has been told to stop after a command
+
+
+@dataclass(frozen=True)
 class FollowerOutput(ControlOutput):
     """The result of one control step of `PathFollower`."""
 

@@ -19,7 +19,7 @@ from adp_path_follower.core.safety.progress_check import ProgressCheck
 from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, deviation
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
-from adp_path_follower.ros.controller.commands import Commands
+from adp_path_follower.ros.controller.commands import WATCH_PERIOD, Commands, Watchdog
 from adp_path_follower.ros.controller.follow_path_action import FollowPathAction, Site
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.parts import ControllerParts, heard_topics, start_teller
@@ -28,7 +28,6 @@ from adp_path_follower.ros.controller.path_process import Fit, route_of_message
 from adp_path_follower.ros.controller.path_worker import PathAnswer
 from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
 from adp_path_follower.ros.controller.telemetry import StatusLog, Telemetry
-from adp_path_follower.ros.controller.watchdog import WATCH_PERIOD, Watchdog
 from adp_path_follower.ros.controller.weights import WeightsFiles
 from adp_path_follower.ros.runtime.conversions import Measurement
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings

@@ -8,16 +8,14 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
-from adp_path_follower.ros.controller.commands import Commands
+from adp_path_follower.ros.controller.commands import Commands, Watchdog
 from adp_path_follower.ros.controller.follow_path_action import FollowPathAction
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.path_input import PathInput
 from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
 from adp_path_follower.ros.controller.telemetry import Telemetry
-from adp_path_follower.ros.controller.watchdog import Watchdog
 from adp_path_follower.ros.runtime.path_frame import PathFrame
-from adp_path_follower.ros.runtime.qos import EVERY_STEP
-from adp_path_follower.ros.runtime.topic_check import TopicCheck
+from adp_path_follower.ros.runtime.qos import EVERY_STEP, TopicCheck
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,12 @@ from std_msgs.msg import Header
 from adp_path_follower.bags.writer import BagExistsError, BagWriter, Limits, UnknownTypeError
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import expanded
-from adp_path_follower.ros.recorder.provenance import provenance
-from adp_path_follower.ros.recorder.settings import RUN_TOPICS, RecorderSettings, topic_patterns
+from adp_path_follower.ros.recorder.settings import (
+    RUN_TOPICS,
+    RecorderSettings,
+    provenance,
+    topic_patterns,
+)
 from adp_path_follower.ros.runtime.parameters import declare_settings
 from adp_path_follower.ros.runtime.run import Ending, run_node
 

@@ -1,12 +1,18 @@
-"""The recorder's settings."""
+"""The recorder's settings, and what metadata.yaml says of a recording's origin."""
 
+import os
+import platform
 import re
+import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path as FilePath
 
+from adp_path_follower import __version__
 from adp_path_follower.bags.bag_file import COMPRESSIONS
 from adp_path_follower.core.errors import SettingsError
-from adp_path_follower.core.settings.schema import setting
+from adp_path_follower.core.settings.schema import flatten, setting, yaml_text
 
 RUN_TOPICS = (
     "odom",
@@ -151,3 +157,38 @@ def _resolved(setting: str, name: str, resolve: Callable[[str], str]) -> str:
         raise SettingsError(
             f"setting '{setting}' lists {name!r}, which is no topic name: {reason}"
         ) from None
+
+
+def provenance(settings: object) -> dict[str, str]:
+    """Return the entries of metadata.yaml on a recording's origin, with the recorder's settings."""
+    found = {
+        "host": platform.node(),
+        "adp_path_follower": __version__,
+        "python": platform.python_version(),
+        **{name: found for name in ("numpy", "rclpy") if (found := _version(name))},
+    }
+    if distribution := os.environ.get("ROS_DISTRO"):
+        found["ros_distro"] = distribution
+    if revision := git_revision(FilePath()):
+        found["git_revision"] = revision
+    values = flatten(settings)
+    return found | {f"recorder.{name}": yaml_text(value) for name, value in values.items()}
+
+
+def git_revision(directory: FilePath) -> str:
+    """Return the commit of the git repository around a directory, empty without one."""
+    command = ["git", "-c", "safe.directory=*", "-C", str(directory), "rev-parse", "HEAD"]
+    try:
+        done = subprocess.run(  # noqa: S603  # git, with our own arguments
+            command, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return done.stdout.strip()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""

@@ -1,11 +1,12 @@
-"""Qualities of service of the nodes' topics, and messages that must arrive before an end."""
+"""Qualities of service of topics, whether they are heard, and messages that must arrive."""
 
 import time as steady
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, qos_check_compatible
 
 EVERY_STEP = QoSProfile(depth=10)
 # For steps that follow odometry, also in lock-step at the machine's pace: a recorder that joins or
@@ -33,3 +34,34 @@ def repeat_until_delivered(
         publish()
         if count < least:
             steady.sleep(_PAUSE)
+
+
+_PERIOD = 1.0  # [s], steady: to ask costs a tenth of a millisecond
+
+
+class TopicCheck:
+    """Compares publishers with what the node's subscriptions need."""
+
+    def __init__(self, node: Node, expected: Mapping[str, tuple[tuple[str, ...], QoSProfile]]):
+        """Take the types and the quality of service of each expected topic."""
+        self._node, self._expected = node, expected
+        self._known, self._until = "", 0.0
+
+    def problem(self) -> str:
+        """Return why a topic is not heard, empty if all are; it is looked for once a second."""
+        if steady.monotonic() >= self._until:
+            self._until = steady.monotonic() + _PERIOD
+            self._known = next(filter(None, map(self._problem, self._expected)), "")
+        return self._known
+
+    def _problem(self, topic: str) -> str:
+        types, wanted = self._expected[topic]
+        name = self._node.resolve_topic_name(topic)
+        for info in self._node.get_publishers_info_by_topic(name):
+            if info.topic_type not in types:
+                return f"{name} has the type {info.topic_type}, but must be {' or '.join(types)}"
+            compatible, reason = qos_check_compatible(info.qos_profile, wanted)
+            if compatible == QoSCompatibility.ERROR:
+                why = reason.removeprefix("ERROR: ").rstrip("; ")
+                return f"{name} of {info.node_name} is not heard: {why}"
+        return ""

@@ -114,7 +114,7 @@ class Comparison:
 
     def plot(self, axes: "Axes | None" = None) -> "Axes":
         """Plot the loss J/J* - 1 of each start, on given axes or new ones; return them."""
-        from adp_path_follower.drawing.result_plots import plotted
+        from adp_path_follower.drawing.run_figures import plotted
         from adp_path_follower.study.comparison.figures import draw_cost
 
         return plotted(lambda place: draw_cost(place, self), axes)

@@ -103,7 +103,7 @@ class SimulationResult:
 
         Raises AdpError if the trajectories were not recorded.
         """
-        from adp_path_follower.drawing.result_plots import draw_errors, plotted
+        from adp_path_follower.drawing.run_figures import draw_errors, plotted
 
         found = self.trajectories
         if found is None:

@@ -19,7 +19,7 @@ from adp_path_follower.core.settings.schema import build
 from bag_messages import SECOND, odometry, twist_stamped, write_bag, write_foreign
 from commands import adp
 from driven_robots import BEGIN, driven, slalom, straight
-from sim_unicycle.robots import simulator_settings
+from sim_unicycle.settings import simulator_settings
 from sim_unicycle.unicycle import Unicycle
 
 

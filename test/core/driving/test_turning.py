@@ -7,8 +7,8 @@ import pytest
 from field_routes import case
 
 from adp_path_follower.core.control.actuation import Actuation
+from adp_path_follower.core.driving.arrival import turning_command
 from adp_path_follower.core.driving.driver import Driver
-from adp_path_follower.core.driving.turning import turning_command
 from adp_path_follower.core.errors import PathError
 from adp_path_follower.core.geometry import advance_pose, wrap_angle
 from adp_path_follower.core.path.preparation import prepare

@@ -14,8 +14,7 @@ from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import tracking_error
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.preparation import prepare
-from adp_path_follower.core.path.reversing import turned_settings
-from adp_path_follower.core.path.route import Route, Segment
+from adp_path_follower.core.path.route import Route, Segment, turned_settings
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import build, update
 from sim_unicycle.settings import PlantSettings

@@ -17,8 +17,7 @@ from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.learning.weights_file import encode, read_weights
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, update
-from adp_path_follower.study.replay.replay import replay
-from adp_path_follower.study.replay.weight_comparison import compare_weights
+from adp_path_follower.study.replay.replay import compare_weights, replay
 from adp_path_follower.study.replay.write_bag import write_replay
 from live_nodes import Drive, Peer, running_script
 

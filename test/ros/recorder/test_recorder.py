@@ -25,8 +25,7 @@ from std_srvs.srv import Trigger
 from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.ros.recorder.provenance import git_revision
-from adp_path_follower.ros.recorder.settings import RecorderSettings, topic_patterns
+from adp_path_follower.ros.recorder.settings import RecorderSettings, git_revision, topic_patterns
 from adp_path_follower.study.demo.closed_loop import own_domain
 
 pytestmark = pytest.mark.nodes

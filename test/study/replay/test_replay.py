@@ -14,8 +14,7 @@ from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.settings.schema import update
 from adp_path_follower.messages.configuration import parse_configuration
-from adp_path_follower.study.replay.replay import replay, rerun, steps_of
-from adp_path_follower.study.replay.weight_comparison import compare_weights
+from adp_path_follower.study.replay.replay import compare_weights, replay, rerun, steps_of
 from adp_path_follower.study.replay.write_bag import write_replay
 from commands import adp
 

@@ -27,8 +27,7 @@ from adp_path_follower.study.simulation.simulate import (
 from adp_path_follower.study.sweeps.request.entries import errors_in, section
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
 from sim_unicycle.fault_script import FaultScript
-from sim_unicycle.robots import simulator_settings
-from sim_unicycle.settings import PlantSettings
+from sim_unicycle.settings import PlantSettings, simulator_settings
 
 CONDITION_ENTRIES = ("params", "set", "starts", "robots", "noise_seeds")
 FORTY = "forty"

@@ -19,8 +19,8 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.study.simulation.simulate import read_starts
 from adp_path_follower.study.sweeps.request.conditions import PathSource, optimal_costs
-from adp_path_follower.study.sweeps.request.files import read_sweep, read_tuning
 from adp_path_follower.study.sweeps.request.ranges import Range
+from adp_path_follower.study.sweeps.request.request import read_sweep, read_tuning
 from adp_path_follower.study.sweeps.workers.runs import run_part
 from folders import ROOT
 
