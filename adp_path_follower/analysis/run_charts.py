@@ -40,9 +40,10 @@ _HALTS = {State.WAITING.value, State.STOPPED.value, State.FAULT.value}
 _GAP, _GAP_PERIODS = 0.25, 5.0  # [s] and periods without a command that leave a gap
 _BUCKETS = 1600  # of a line, shared by the bags
 _WEIGHT_BUCKETS = 450  # of one of many
-_GREY_BUCKETS = 200  # of a weight that is only there for the whole
+_GREY_BUCKETS = 100  # of a weight that is only there for the whole
 _NAMED_WEIGHTS = 10
 _LEAST_DISTANCE = 1e-6  # [m] that colours are told apart for
+_TRACK_BUCKETS = 500  # of the track, shared by the bags; each point is a mark of its own
 _POSES = 2000  # that the robot is moved through, shared by the bags
 
 
@@ -169,7 +170,7 @@ def _track(drive: Drive, bags: int) -> Track:
         drive.projection.cross_track,
         target=target,
         color_limit=_color_limit(drive),
-        points=max(200, 1500 // bags),
+        points=max(200, _TRACK_BUCKETS // bags),
         samples=max(500, _POSES // bags),
     )
 

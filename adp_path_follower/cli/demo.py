@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
 
 _TO_ARRIVE = 20.0  # [s] that a robot may need longer to the end of its path
+# [Hz] unless another is set: the replay needs no debug topics, and the page shows few of them.
+_DEBUG_RATE = 20.0
 
 
 @click.command()
@@ -70,6 +74,8 @@ def demo(
     A bad day, in real time:         adp demo --sim-set fault_script=bad_day
     """
     settings = load_settings(Settings, "path_follower", params, assignments)
+    if math.isinf(settings.controller.debug_rate):
+        settings = settings.with_changes(debug_rate=_DEBUG_RATE)
     read_fault_script(simulator.simulation.fault_script)
     path = named_path(path_name)
     require("adp demo", "jazzy")
@@ -144,24 +150,28 @@ def _report(
     bag: FilePath, directory: FilePath, duration: float, wall_time: float
 ) -> FilePath | None:
     """Analyse the bag as `adp analyze` does, print the numbers, and return the page if written."""
-    from adp_path_follower.analysis.bag_analysis import analyse_bag, metrics_table
+    from adp_path_follower.analysis.bag_analysis import metrics_table
     from adp_path_follower.bags.reader import read_run
     from adp_path_follower.drawing.run_figures import draw_figures
     from adp_path_follower.study.optimum.reference import is_paper_problem, paper_optimum
     from adp_path_follower.study.replay.figures import view_of_replay
     from adp_path_follower.study.replay.replay import replay
 
-    click.echo("reading the bag and drawing the figures")
-    analysis = analyse_bag(bag, {}, 1, directory / "trajectory.tum", title="demo")
-    run = read_run(bag)
-    replayed = replay(run)
-    first, follower = replayed.outputs[0], replayed.follower
-    known = is_paper_problem(follower.settings, follower.path, float(first.arc_length), first.error)
-    view = view_of_replay(run, replayed)
-    draw_figures(view, directory / "figures", paper_optimum() if known else None)
-    written = "figures/, bag/ (rosbag2, MCAP), summary.json, trajectory.tum, logs/"
+    click.echo("analysing the bag and repeating the run")
     page = directory / "report.html"
-    has_page = _write_page(analysis, page)
+    # Two processors share the work: the replay and the analysis do not need each other.
+    with ProcessPoolExecutor(1, get_context("spawn")) as other:
+        analysing = other.submit(_analyse, bag, page)
+        run = read_run(bag)
+        replayed = replay(run)
+        first, follower = replayed.outputs[0], replayed.follower
+        known = is_paper_problem(
+            follower.settings, follower.path, float(first.arc_length), first.error
+        )
+        view = view_of_replay(run, replayed)
+        draw_figures(view, directory / "figures", paper_optimum() if known else None)
+        analysis, has_page = analysing.result()
+    written = "figures/, bag/ (rosbag2, MCAP), summary.json, trajectory.tum, logs/"
     if has_page:
         written = f"report.html, {written}"
     commands, identical = len(replayed.outputs), int(replayed.identical.sum())
@@ -186,14 +196,20 @@ def _report(
     return page if has_page else None
 
 
-def _write_page(analysis: BagAnalysis, file: FilePath) -> bool:
-    """Write the page of `adp analyze`; return whether the libraries that it needs are there."""
+def _analyse(bag: FilePath, page: FilePath) -> tuple[BagAnalysis, bool]:
+    """Analyse a bag and write its page; return whether the libraries that a page needs are there.
+
+    This runs in a process of its own.
+    """
+    from adp_path_follower.analysis.bag_analysis import analyse_bag
+
+    analysis = analyse_bag(bag, {}, 1, page.with_name("trajectory.tum"), title="demo")
     try:
         require("report.html", "report")
     except AdpError as missing:
         click.echo(f"adp: {missing}", err=True)
-        return False
+        return analysis, False
     from adp_path_follower.analysis.bag_page import write_report
 
-    write_report([analysis], [], file)
-    return True
+    write_report([analysis], [], page)
+    return analysis, True

@@ -122,9 +122,9 @@ def _track(runs: Sequence[ShownRun]) -> go.Figure:
             x=_small(track.position[:, 0]),
             y=_small(track.position[:, 1]),
             customdata=_small(np.column_stack([track.time, 1e3 * track.cross_track])),
-            mode="lines" if several else "markers",
+            mode="lines" if several else "lines+markers",
             marker=marker,
-            line={"color": color(index)},
+            line={"color": color(index)} if several else {"color": _GREY, "width": 1},
             name=_plain(run.name),
             hovertemplate="%{customdata[0]:.2f} s: %{customdata[1]:.3f} mm<extra></extra>",
         )

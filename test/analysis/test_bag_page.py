@@ -113,7 +113,7 @@ def open_page(browser: Any, file: FilePath, size: str = "wide", scheme: str = "l
     visit.page.on("pageerror", lambda error: visit.said.append(str(error)))
     visit.page.on("request", lambda request: visit.asked.append(request.url))
     visit.page.goto(file.as_uri())
-    visit.page.wait_for_selector("html[data-ready=true]")
+    visit.page.wait_for_selector("html[data-drawn=true]")
     return visit
 
 

@@ -20,9 +20,10 @@
   }
   const library = document.createElement("script");
   library.nonce = nonce;
-  library.textContent = await unpacked("library");
+  const [code, text] = await Promise.all(["library", "data"].map(unpacked));
+  library.textContent = code;
   document.head.append(library);
-  const data = JSON.parse(await unpacked("data"));
+  const data = JSON.parse(text);
 
   // Arrays of numbers come as the bytes of single-precision floats.
   const numbers = (coded) => {
@@ -106,27 +107,27 @@
       line: { color: style("--link"), width: 1.5 },
     }];
   };
-  const themed = (figure) => {
-    const all = {
-      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", "font.color": style("--text"),
-      "hoverlabel.bgcolor": style("--raised"),
-    };
+  const theme = () => {
     const axis = { gridcolor: style("--line"), zerolinecolor: style("--line"), linecolor: style("--quiet") };
-    for (const name of Object.keys(figure.element._fullLayout || figure.layout)) {
-      if (/^[xy]axis\d*$/.test(name)) {
-        for (const [key, value] of Object.entries(axis)) all[`${name}.${key}`] = value;
-      }
-    }
-    return all;
+    return {
+      layout: {
+        paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: style("--text") },
+        hoverlabel: { bgcolor: style("--raised") }, xaxis: axis, yaxis: axis,
+      },
+    };
   };
   // Which markers are coloured by the distance from the path; their colours are the theme's.
   const coloured = (figure) =>
     figure.data.flatMap((trace, index) => (data.scales && trace.marker?.colorscale ? [index] : []));
   const scale = () => data.scales[dark.matches ? "dark" : "light"];
 
+  const heightOf = ({ key, layout }) => (key === "track" && narrow.matches ? 420 : layout.height);
   const layoutOf = (figure) => {
     const layout = structuredClone(figure.layout);
     const small = narrow.matches;
+    layout.template = theme();
+    layout.shapes = shapes(figure);
+    layout.height = heightOf(figure);
     layout.font = { family: "system-ui, sans-serif", size: small ? 11 : 13 };
     layout.margin = small ? { l: 64, r: 8, t: 12, b: 48 } : { l: 92, r: 16, t: 12, b: 52 };
     layout.legend = { orientation: "h", yanchor: "bottom", y: 1.01, x: 0 };
@@ -137,7 +138,6 @@
       layout.hoversubplots = "axis";
     }
     if (figure.key === "track" && small) {
-      layout.height = 420;
       for (const trace of figure.data) {
         if (trace.marker && trace.marker.colorbar) {
           trace.marker.colorbar = {
@@ -158,7 +158,9 @@
       modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
       displayModeBar: narrow.matches ? false : "hover",
     });
-    await Plotly.relayout(figure.element, { ...themed(figure), shapes: shapes(figure) });
+    figure.drawn = true;
+    if (figure.over_time && span) await zoom(figure);
+    else if (figure.key === "track") update(figure);  // the robot's size, as the scale is known now
     figure.element.on("plotly_click", (event) => {
       const point = event.points[0];
       if (figure.over_time) move(Number(point.x));
@@ -195,20 +197,24 @@
     return changes;
   };
   let zooming = false;
+  let span = null;  // that all figures show [s]; null is everything
+  const zoom = (figure) => {
+    const changes = { "xaxis.range": [...(span || figure.layout.xaxis.range)] };
+    if (span) Object.assign(changes, verticalRanges(figure, span));
+    else if (figure.key !== "events") {
+      for (const name of Object.keys(figure.element._fullLayout)) {
+        if (/^yaxis\d*$/.test(name)) changes[`${name}.autorange`] = true;
+      }
+    }
+    return Plotly.relayout(figure.element, changes);
+  };
   const zoomAll = async (change) => {
     if (zooming || !Object.keys(change).some((name) => name.startsWith("xaxis."))) return;
     zooming = true;
     const low = change["xaxis.range[0]"];
-    const span = low === undefined ? change["xaxis.range"] : [low, change["xaxis.range[1]"]];
+    span = (low === undefined ? change["xaxis.range"] : [low, change["xaxis.range[1]"]]) || null;
     for (const figure of overTime) {
-      const changes = { "xaxis.range": span ? [...span] : [...figure.layout.xaxis.range] };
-      if (span) Object.assign(changes, verticalRanges(figure, span));
-      else if (figure.key !== "events") {
-        for (const name of Object.keys(figure.element._fullLayout)) {
-          if (/^yaxis\d*$/.test(name)) changes[`${name}.autorange`] = true;
-        }
-      }
-      await Plotly.relayout(figure.element, changes);
+      if (figure.drawn) await zoom(figure);
     }
     zooming = false;
   };
@@ -219,8 +225,8 @@
   const speed = document.getElementById("speed");
   const now = document.getElementById("now");
   const update = (figure) => {
-    figure.stale = !figure.visible;
-    if (figure.visible) Plotly.relayout(figure.element, { shapes: shapes(figure) });
+    figure.stale = !(figure.visible && figure.drawn);
+    if (!figure.stale) Plotly.relayout(figure.element, { shapes: shapes(figure) });
   };
   const move = (to) => {
     time = Math.min(last, Math.max(first, to));
@@ -307,24 +313,36 @@
 
   // --- begin ------------------------------------------------------------------------------------
   dark.addEventListener("change", () => {
-    for (const figure of figures) {
-      Plotly.relayout(figure.element, { ...themed(figure), shapes: shapes(figure) });
+    for (const figure of figures.filter((item) => item.drawn)) {
+      Plotly.relayout(figure.element, { template: theme(), shapes: shapes(figure) });
       const traces = coloured(figure);
       if (traces.length) Plotly.restyle(figure.element, { "marker.colorscale": [scale()] }, traces);
     }
   });
+  for (const figure of figures) figure.element.style.minHeight = `${heightOf(figure)}px`;
+  const begun = (figure) => (figure.begun ||= draw(figure));
   const seen = new IntersectionObserver((entries) => {
     for (const entry of entries) {
       const figure = figures.find((item) => item.element === entry.target);
       figure.visible = entry.isIntersecting;
-      if (figure.visible && figure.stale) update(figure);
+      if (figure.visible) begun(figure).then(() => figure.stale && update(figure));
     }
   }, { rootMargin: "100px" });
-  for (const figure of figures) await draw(figure);
-  for (const figure of figures) seen.observe(figure.element);
+  // The first screen is ready before the figures below it are drawn, one after the other.
+  for (const figure of figures) {
+    figure.visible = figure.element.getBoundingClientRect().top < window.innerHeight;
+    if (figure.visible) await begun(figure);
+  }
   if (motions.length) {
     startPlayer();
     move(time);
   }
   document.documentElement.dataset.ready = "true";
+  const idle = window.requestIdleCallback || setTimeout;
+  for (const figure of figures) seen.observe(figure.element);
+  for (const figure of figures) {
+    await new Promise((resolve) => idle(resolve));
+    await begun(figure);
+  }
+  document.documentElement.dataset.drawn = "true";
 })();

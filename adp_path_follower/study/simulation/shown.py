@@ -21,7 +21,7 @@ from adp_path_follower.drawing.charts import (
 from adp_path_follower.study.simulation.trajectories import Trajectories
 
 _BUCKETS = 2500  # of a curve, shared by the runs
-_POINTS, _SAMPLES = 1500, 6000  # of a track and of a motion, likewise
+_POINTS, _SAMPLES = 500, 6000  # of a track and of a motion, likewise
 
 
 def shown_run(

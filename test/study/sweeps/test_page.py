@@ -146,7 +146,7 @@ def test_the_page_opens_without_network_and_without_errors(sweep, tmp_path):
         page.on("pageerror", lambda error: problems.append(str(error)))
         page.on("dialog", lambda dialog: problems.append(dialog.message))
         page.goto((tmp_path / "report.html").as_uri())
-        page.wait_for_selector("html[data-ready=true]")
+        page.wait_for_selector("html[data-drawn=true]")
         drawn = page.locator(".figure .main-svg").count()
         text = page.inner_text("main")
         browser.close()
