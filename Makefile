@@ -1,11 +1,17 @@
 # Two commands for a new user: `make demo` and `make test`. Both set themselves up in .venv.
 
+SHELL := bash
+.SHELLFLAGS := -o pipefail -c
 VENV ?= .venv
 # The ROS 2 Jazzy wheels exist for Python 3.11 and 3.12; the first that runs is taken.
 PYTHON ?= $(shell for p in python3.12 python3.11 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null \
 	&& echo $$p && break; done)
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
+# To people, one line that changes: how many lines pip has printed, and the last.
+SHOWN := { n=0; while read -r line; do n=$$((n + 1)); \
+	[ ! -t 1 ] || printf '\r\033[K%4d %.70s' $$n "$$line"; done; [ ! -t 1 ] || printf '\r\033[K'; }
 BENCH := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python
 BENCH_RESULTS := bench/results/bench.json
 
@@ -53,14 +59,14 @@ $(VENV)/ready: setup.py adp_path_follower/__init__.py
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or 3.12 found: install one, or say make PYTHON=..."; exit 1; }
 	@echo "Setting up $(VENV): ROS 2 Jazzy and the Python packages, about a minute"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[jazzy,optimum,report]'
+	@$(PIP) -e '.[jazzy,optimum,report]' | $(SHOWN)
 	@touch $@
 
 $(VENV)/ready-test: $(VENV)/ready
 	@echo "Adding what sweeps and tests need"
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[sweep,test,docs]'
+	@$(PIP) -e '.[sweep,test,docs]' | $(SHOWN)
 	@touch $@
 
 $(VENV)/ready-lint: $(VENV)/ready-test
-	@$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[lint]'
+	@$(PIP) -e '.[lint]' | $(SHOWN)
 	@touch $@

@@ -64,7 +64,8 @@ def demo(
     processes on a ROS domain of their own, in simulated time and in lock-step: as fast as this
     machine can, and with the same commands on every machine. Then it draws the paper's figures 2
     to 5 from the bag, writes its page and prints its numbers as `adp analyze` does, and says how
-    many commands PathFollower repeats exactly.
+    many commands PathFollower repeats exactly. Debug topics tell 20 steps a second, unless
+    debug_rate is set.
 
     \b
     The recommended settings:        adp demo
