@@ -106,15 +106,17 @@ class Fallback:
         curvature: FloatArray,
         v_des: Number,
         dt: float,
+        drives: np.ndarray,
     ) -> FloatArray:
         """Return the share of the Riccati policy from 0 to 1, dt [s] after the last, shape (...).
 
         Bellman error delta, running cost r and value, shape (...) each, are those of the learned
-        policy at states zeta (..., 4), where the path has kappa [1/m] and v_des [m/s].
+        policy at states zeta (..., 4), where the path has kappa [1/m] and v_des [m/s]. There is no
+        doubt of a policy that does not drive (...), as another one does so far from the path.
         """
         riccati_value = self._policy.value(zeta, curvature, v_des)
         doubtful = is_doubtful(bellman_error, running_cost, value, riccati_value, self._nothing)
-        return self._distrust.share(doubtful, dt)
+        return self._distrust.share(doubtful & drives, dt)
 
     def blend(
         self,

@@ -9,6 +9,7 @@ import numpy as np
 from adp_path_follower.core.control.fallback import RiccatiPolicy
 from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
+from adp_path_follower.core.control.value_iteration import ValueProblem
 from adp_path_follower.core.control.value_store import problem_of, stored, value_grid
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
@@ -73,20 +74,20 @@ def far_policy_of(settings: Settings) -> str:
     return chosen
 
 
-def drivable(wanted: Settings) -> Settings:
-    """Return the settings to drive with, where some are wanted: no control step finds a value.
+def missing_values(settings: Settings) -> list[ValueProblem]:
+    """Return the value functions that settings need and that nobody has found yet."""
+    if far_policy_of(settings) != "value_grid":
+        return []
+    problems = [problem_of(settings)]
+    if settings.path.allow_reversing and settings.limits.min_linear_vel < 0.0:
+        problems.append(problem_of(turned_settings(settings)))
+    return [problem for problem in problems if stored(problem) is None]
 
-    `wide_region: approach` stands for `value_grid` until `adp simulate` has stored its values.
-    """
-    if far_policy_of(wanted) != "value_grid":
-        return wanted
-    problems = [problem_of(wanted)]
-    if wanted.path.allow_reversing and wanted.limits.min_linear_vel < 0.0:
-        problems.append(problem_of(turned_settings(wanted)))
-    if all(stored(problem) is not None for problem in problems):
-        return wanted
-    policy = dataclasses.replace(wanted.policy, wide_region="approach")
-    return dataclasses.replace(wanted, policy=policy)
+
+def without_values(settings: Settings) -> Settings:
+    """Return the settings to drive with until values are found, which takes no control step."""
+    policy = dataclasses.replace(settings.policy, wide_region="approach")
+    return dataclasses.replace(settings, policy=policy)
 
 
 def far_levels(settings: Settings) -> tuple[float, float]:
@@ -102,6 +103,7 @@ class GridPolicy:
     def __init__(self, settings: Settings) -> None:
         """Take all settings."""
         self._settings = settings
+        self._grid = stored(problem_of(settings))
         inverse = np.linalg.inv(settings.cost.input_cost_matrix())
         self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
 
@@ -110,7 +112,9 @@ class GridPolicy:
     ) -> FloatArray:
         """Return u = -1/2 R^-1 g^T V_e within the limits, shape (..., 2)."""
         error = zeta[..., :3]
-        _, slope = value_grid(self._settings).value_and_slope(error, np.asarray(curvature))
+        if self._grid is None:
+            self._grid = value_grid(self._settings)
+        _, slope = self._grid.value_and_slope(error, np.asarray(curvature))
         theta = error[..., 2]
         ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
         descent = np.stack([ahead, slope[..., 2]], axis=-1)
@@ -152,14 +156,9 @@ class WideRegion:
 
         The learned input is within the limits, (..., 2); the rest is as in `modified_input`.
         """
-        start, end = self._levels
-        if zeta.ndim == 1 and not self.is_far(zeta):
+        share = self.share(zeta)[..., None]
+        if not (share > 0.0).any():
             return learned
-        level = np.abs(zeta[..., :3] / self._half_widths).max(axis=-1)
-        if not (level > start).any():
-            return learned
-        share = np.clip((level - start) / (end - start), 0.0, 1.0)
-        share = (share * share * (3.0 - 2.0 * share))[..., None]
         if self._kind == "approach":
             wanted = self._approach(zeta, self._riccati.matrix(curvature, feedforward[..., 0]))
             far = saturate(wanted, feedforward, self._limits)
@@ -167,6 +166,15 @@ class WideRegion:
             far = self._far.modified_input(zeta, curvature, feedforward)
             far = saturate(np.asarray(far), feedforward, self._limits) if self._is_own else far
         return np.asarray((1.0 - share) * learned + share * far)
+
+    def share(self, error: FloatArray) -> FloatArray:
+        """Return how much of the far policy drives at errors (..., 3 or 4), from 0 to 1, (...)."""
+        if self._kind == "none" or (error.ndim == 1 and not self.is_far(error)):
+            return np.zeros(error.shape[:-1])
+        start, end = self._levels
+        level = np.abs(error[..., :3] / self._half_widths).max(axis=-1)
+        share = np.clip((level - start) / (end - start), 0.0, 1.0)
+        return np.asarray(share * share * (3.0 - 2.0 * share))
 
     def is_far(self, error: FloatArray) -> bool:
         """Return whether a robot's error [s, y, theta, ...] is where another policy begins."""

@@ -95,7 +95,9 @@ class ValueGrid:
         """Return rho, shape (...), and its gradient by s, y and theta, shape (..., 3)."""
         place, stretch = self.axes.position(np.moveaxis(error, -1, 0))
         last = np.array(self.axes.shape) - (2, 2, 1)  # the first of the last two nodes
-        node = np.minimum(place.astype(np.intp), last.reshape(3, *(1,) * (place.ndim - 1)))
+        last = last.reshape(3, *(1,) * (place.ndim - 1))
+        with np.errstate(invalid="ignore"):
+            node = np.clip(place.astype(np.intp), 0, last)  # also of an error that is none
         t = place - node
         powers = np.stack([np.ones_like(t), t, t * t, t**3], axis=-1)
         rates = np.stack([np.zeros_like(t), np.ones_like(t), 2.0 * t, 3.0 * t * t], axis=-1)

@@ -7,14 +7,16 @@ digest of the problem and of how it is solved.
 
 import contextlib
 import dataclasses
-import functools
 import hashlib
 import io
 import logging
 import math
 import os
+import pickle
+import sys
 import tempfile
 import zipfile
+from collections.abc import Callable
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -26,6 +28,8 @@ from adp_path_follower.core.settings.groups import Settings
 
 _LOG = logging.getLogger(__name__)
 _MOST_FILES = 40  # of 2 MB each; the oldest ones go
+_MOST_KEPT = 6  # in memory
+_NICE = 5  # control comes first
 
 
 def problem_of(settings: Settings) -> ValueProblem:
@@ -43,9 +47,8 @@ def value_grid(settings: Settings) -> ValueGrid:
         _LOG.info(
             "finding the value function far from the path: ten seconds, once for these settings"
         )
-        store(problem)
-        found = stored(problem)
-    return _solved(problem) if found is None else found
+        keep(problem, store(problem))
+    return _found[problem]
 
 
 _found: dict[ValueProblem, ValueGrid] = {}
@@ -54,18 +57,26 @@ _found: dict[ValueProblem, ValueGrid] = {}
 def stored(problem: ValueProblem) -> ValueGrid | None:
     """Return a value function that was found before, None if it was not."""
     if problem not in _found:
-        with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            with np.load(_file(problem), allow_pickle=False) as content:
-                shape = tuple(int(n) for n in content["shape"])
-                axes = GridAxes((shape[0], shape[1], shape[2]), float(content["reach"]))
-                arrays = [content[key] for key in ("curvatures", "riccati", "coefficients")]
-            _found[problem] = ValueGrid(axes, *arrays)
+        with contextlib.suppress(OSError):
+            keep(problem, _file(problem).read_bytes())
     return _found.get(problem)
 
 
-def store(problem: ValueProblem) -> None:
-    """Find a value function and store it; where no file can be written, keep it in memory."""
-    grid = _solved(problem)
+def keep(problem: ValueProblem, content: bytes) -> None:
+    """Keep the value function that a file has, if it is sound, as one of the last few."""
+    with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            shape = tuple(int(n) for n in arrays["shape"])
+            axes = GridAxes((shape[0], shape[1], shape[2]), float(arrays["reach"]))
+            parts = [arrays[key] for key in ("curvatures", "riccati", "coefficients")]
+        if len(_found) >= _MOST_KEPT:
+            _found.pop(next(iter(_found)))
+        _found[problem] = ValueGrid(axes, *parts)
+
+
+def store(problem: ValueProblem, progress: Callable[[float], None] = lambda done: None) -> bytes:
+    """Find a value function, write its file, if that is possible, and return what is in it."""
+    grid = solve(problem, progress)
     content = io.BytesIO()
     np.savez(
         content,
@@ -82,11 +93,7 @@ def store(problem: ValueProblem) -> None:
         for other in others[: -(_MOST_FILES - 1)]:
             other.unlink(missing_ok=True)
         write_whole(file, content.getvalue(), file.with_suffix(f".{os.getpid()}.unfinished"))
-
-
-@functools.lru_cache(4)
-def _solved(problem: ValueProblem) -> ValueGrid:
-    return solve(problem)
+    return content.getvalue()
 
 
 def _file(problem: ValueProblem) -> FilePath:
@@ -102,3 +109,20 @@ def _directory() -> FilePath:
         return FilePath.home() / ".cache" / "adp_path_follower"
     except RuntimeError:
         return FilePath(tempfile.gettempdir()) / "adp_path_follower"
+
+
+def main() -> None:
+    """Find the values of the pickled problem that comes in, and write them out, for a node."""
+    node = os.getppid()
+    os.nice(_NICE)
+
+    def look(done: float) -> None:
+        if os.getppid() != node:  # it has ended, and nobody waits any more
+            sys.exit(1)
+
+    problem = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the node
+    sys.stdout.buffer.write(store(problem, look))
+
+
+if __name__ == "__main__":  # python -m adp_path_follower.core.control.value_store
+    main()

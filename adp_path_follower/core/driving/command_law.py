@@ -15,6 +15,7 @@ Weights that change along the path add (dWc/ds_p)^T sigma s_p' to (4). Every fun
 over the leading axes (...) of a batch of robots.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,8 @@ from adp_path_follower.core.learning.weights import LocalWeights
 from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
+
+_CHANGE_TIME = 1.0  # [s] from one policy far from the path to another
 
 
 @dataclass(frozen=True)
@@ -62,13 +65,13 @@ class CommandLaw:
         profile: SpeedProfile,
     ) -> None:
         """Take Riccati solution, learner, last commands, and the speeds that is learned for."""
-        self.settings = settings
+        self._settings, self._riccati = settings, riccati
         self._learner, self._actuation = learner, actuation
         self._basis = settings.learning.value_basis
         self._running_cost = RunningCost(settings.cost)
         self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
-        far_policy = settings.policy.wide_region != "none"
-        self._wide_region = WideRegion(settings, riccati) if far_policy else None
+        self._wide_region = self._leaving = WideRegion(settings, riccati)
+        self._since_change = math.inf  # [s], from the far policy `_leaving` to `_wide_region`
         safe_policy = settings.policy.fallback != "none"
         self._fallback = Fallback(settings, riccati) if safe_policy else None
         self._profile = profile
@@ -77,6 +80,19 @@ class CommandLaw:
         """Forget earlier doubt: the next step decides at once which policy drives."""
         if self._fallback is not None:
             self._fallback.reset()
+
+    @property
+    def settings(self) -> Settings:
+        """Return all settings."""
+        return self._settings
+
+    @settings.setter
+    def settings(self, settings: Settings) -> None:
+        """Go on with others; another policy far from the path takes over without a step."""
+        if settings.policy != self._settings.policy:
+            self._leaving, self._since_change = self._wide_region, 0.0
+            self._wide_region = WideRegion(settings, self._riccati)
+        self._settings = settings
 
     def step(
         self,
@@ -106,7 +122,7 @@ class CommandLaw:
                 tried = saturate(self.actor_input(there), there.feedforward, limits)
                 found = there, *self._bellman_error(there, *self._unforced(there), tried)
             doubt = self._doubt(self._fallback, *found, dt)
-        applied = self._safe_input(here, learned, doubt)
+        applied = self._safe_input(here, learned, doubt, dt)
         # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.
         wanted = within(applied + here.feedforward, limits)
         command = self._actuation.limited(wanted, self.settings)
@@ -188,14 +204,20 @@ class CommandLaw:
         """Return the share of the Riccati policy from 0 to 1, shape (...), equation (5)."""
         value = inner(here.local.weights.critic, here.expansion.value)
         state = (here.zeta, here.curvature, here.v_des)
-        return fallback.doubt(measured.error[..., 0], running_cost, value, *state, dt)
+        drives = self._wide_region.share(here.zeta) < 1.0
+        return fallback.doubt(measured.error[..., 0], running_cost, value, *state, dt, drives)
 
-    def _safe_input(self, here: Situation, learned: FloatArray, doubt: FloatArray) -> FloatArray:
+    def _safe_input(
+        self, here: Situation, learned: FloatArray, doubt: FloatArray, dt: float
+    ) -> FloatArray:
         """Return the input after fallback and far policy, shape (..., 2), equation (6)."""
         place = (here.zeta, here.curvature, here.feedforward)
         applied = learned
         if self._fallback is not None:
             applied = self._fallback.blend(applied, doubt, *place)
-        if self._wide_region is not None:
-            applied = self._wide_region.blend(applied, *place)
-        return applied
+        far = self._wide_region.blend(applied, *place)
+        self._since_change += dt
+        if self._since_change >= _CHANGE_TIME:
+            return far
+        before = self._leaving.blend(applied, *place)
+        return before + self._since_change / _CHANGE_TIME * (far - before)

@@ -186,6 +186,9 @@ class Driver:
             controller=present.controller,
             navigation=present.navigation,
             path=present.path,
+            policy=dataclasses.replace(
+                settings.policy, wide_region=present.policy.wide_region
+            ),  # which changes between two steps
         )
         if self._follower is None or same_motion == present:
             return Change(settings, self._follower)

@@ -80,7 +80,7 @@ class PathFollower:
 
     @property
     def settings(self) -> Settings:
-        """Return all settings; those in their place must not change motion or learning."""
+        """Return all settings; others may change the far policy, but not motion or learning."""
         return self.law.settings
 
     @settings.setter

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from adp_path_follower.core.control.far_from_path import drivable
 from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import SettingsError
@@ -20,6 +19,7 @@ from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, 
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import WATCH_PERIOD, Commands, Watchdog
+from adp_path_follower.ros.controller.far_values import FarValues
 from adp_path_follower.ros.controller.follow_path_action import FollowPathAction, Site
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.parts import ControllerParts, heard_topics, start_teller
@@ -50,6 +50,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         defend_services(self)
         self.settings = declare_settings(self, Settings)
         LiveSettings(self, self.settings, self._prepare_settings)
+        self._values = FarValues(self, lambda: self.settings, self._prepare_settings)
         self._weights = WeightsFiles(self, self.settings, lambda: self._driver)
         self._fit = fit
         self._parts: ControllerParts | None = None
@@ -70,7 +71,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _forget_run(self) -> None:
         """Return to the state before any message."""
         told, log = start_teller(self.get_logger()), self.get_logger()
-        settings = drivable(self.settings)
+        settings = self._values.drivable(self.settings)
         self._driver = Driver(settings, self._weights.saved, log.warning, tell_start=told)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
@@ -209,7 +210,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
         """Return what takes over settings between steps; SettingsError if no policy is found."""
-        change = self._driver.prepared(drivable(settings))
+        change = self._driver.prepared(self._values.drivable(settings))
 
         def take_over() -> None:
             self._driver.take_over(change)
@@ -304,11 +305,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         return self._configured.commands.take_lateness()
 
     def _tell(
-        self,
-        time: int,
-        frame: str,
-        measured: tuple[FloatArray, FloatArray],
-        output: FollowerOutput,
+        self, time: int, frame: str, measured: tuple[FloatArray, FloatArray], output: FollowerOutput
     ) -> None:
         """Tell what a step at a time [ns], pose and motion (3,) found; see if it is the last."""
         parts, follower, route = self._configured, self._driver.follower, self._driver.route

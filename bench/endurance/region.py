@@ -1,0 +1,71 @@
+"""Print J/J* far from the path: `python bench/endurance/region.py [CASE...]`, minutes each.
+
+Twelve starts of each case (seeds below), adp warm and NMPC, both beside the offline optimum.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.resources import config_file
+from adp_path_follower.study.comparison.compare import compare
+
+_STARTS, _SEED = 12, 15
+_FAR, _FARTHER, _NEAR = (5.0, 5.0, math.pi), (30.0, 30.0, math.pi), (1.0, 1.0, math.pi / 3.0)
+_EIGHT, _BEND = ("lissajous", 0.0), ("lissajous", 15.527)
+_LINE, _WIDE, _NARROW = ("line", 0.0), ("circle:0.2", 0.0), ("circle:0.5", 0.0)
+_TURTLEBOT = str(config_file("turtlebot4.yaml"))
+_FREE = ["min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.inf"]
+
+# Name -> half-widths of the starts, path and place [m], parameters file and changes, time [s].
+_CASES = {
+    **{
+        f"default {path} {place:g}": (_FAR, (path, place), "", [], 40.0)
+        for path, place in (_LINE, _WIDE, _NARROW, _EIGHT, _BEND)
+    },
+    "turtlebot4": (_FAR, _LINE, _TURTLEBOT, ["max_linear_accel=.inf"], 120.0),
+    "reverse": (_FAR, _EIGHT, "", ["min_linear_vel=-1.0"], 40.0),
+    "unlimited": (_FAR, _EIGHT, "", _FREE, 40.0),
+    "far": (_FARTHER, _LINE, "", [], 150.0),
+    "cold near": (_NEAR, _EIGHT, "", [], 40.0),
+    "cold far": (_FAR, _EIGHT, "", [], 40.0),
+    **{
+        f"{speed:g} m/s": (_NEAR, _BEND, "", [f"desired_speed={speed}"], 40.0)
+        for speed in (0.1, 0.22, 1.0, 2.0, 5.0)
+    },
+}
+
+
+def main() -> None:
+    """Print the chosen cases, all if none is chosen."""
+    for name in sys.argv[1:] or _CASES:
+        widths, (path_name, place), file, changes, duration = _CASES[name]
+        settings = load_settings(Settings, "path_follower", file or None, changes)
+        starts = np.random.default_rng(_SEED).uniform(-1.0, 1.0, (_STARTS, 3)) * widths
+        names = ["adp_cold" if name.startswith("cold") else "adp", "nmpc"]
+        path = named_path(path_name, settings.path)
+        found = compare(
+            settings, path_name, path, starts, names, start_arc_length=place, duration=duration
+        )
+        ours, peer = found.outcomes
+        ahead = float(np.mean(ours.cost <= 1.001 * np.where(peer.failed, math.inf, peer.cost)))
+        print(f"{name}: {ahead:.0%} of the starts no dearer than NMPC + 0.1 %")
+        for item in found.outcomes:
+            shares = " / ".join(f"{item.quantile(share):.4f}" for share in (0.5, 0.95, 1.0))
+            print(f"  {item.name:9}{shares}, {int(item.failed.sum())} failed", flush=True)
+        worst = np.argsort(np.nan_to_num(ours.cost_ratio, nan=math.inf))[-3:]
+        for index in worst:
+            start, ratio = starts[index].round(3).tolist(), ours.cost_ratio[index]
+            print(f"    {start}: J* {found.optimal_cost[index]:.6g}, {ratio:.4f}")
+        for text in (*found.problems, *found.notes):
+            print(f"    {text}")
+
+
+if __name__ == "__main__":
+    main()
