@@ -65,18 +65,9 @@ def register_far_policy(name: str, factory: Callable[[Settings], FarPolicy]) -> 
 _GRID_LEVELS = 0.7  # of `wide_region_levels`: the grid is exact where the learned policy is not yet
 
 
-def far_policy_of(settings: Settings) -> str:
-    """Return the name of the policy that drives far from the path."""
-    limits, chosen = settings.limits, settings.policy.wide_region
-    limited = (limits.min_linear_vel, limits.max_linear_vel, limits.max_angular_vel)
-    if chosen == "value_grid" and not np.isfinite(limited).all():
-        return "approach"
-    return chosen
-
-
 def missing_values(settings: Settings) -> list[ValueProblem]:
     """Return the value functions that settings need and that nobody has found yet."""
-    if far_policy_of(settings) != "value_grid":
+    if settings.policy.wide_region != "value_grid":
         return []
     problems = [problem_of(settings)]
     if settings.path.allow_reversing and settings.limits.min_linear_vel < 0.0:
@@ -93,7 +84,7 @@ def without_values(settings: Settings) -> Settings:
 def far_levels(settings: Settings) -> tuple[float, float]:
     """Return the errors, in half-widths of the samples, between which the policy changes."""
     start, end = settings.policy.wide_region_levels
-    scale = _GRID_LEVELS if far_policy_of(settings) == "value_grid" else 1.0
+    scale = _GRID_LEVELS if settings.policy.wide_region == "value_grid" else 1.0
     return scale * start, scale * end
 
 
@@ -127,7 +118,7 @@ class WideRegion:
 
     def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
         """Take levels, limits and kind from the settings."""
-        self._policy, self._kind = settings.policy, far_policy_of(settings)
+        self._policy, self._kind = settings.policy, settings.policy.wide_region
         self._levels = far_levels(settings)
         self._half_widths = np.array(settings.learning.sample_half_widths[:3])
         self._widths: list[float] = self._half_widths.tolist()

@@ -9,7 +9,6 @@ the last sweep, and at first some from limit to limit.
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,8 +33,9 @@ _SEARCHED = 30  # sweeps of the first grid that try inputs from limit to limit, 
 _COUNTED = 15.0  # [m], within which the values must have settled
 _SETTLED = 5e-5  # mean change of rho in a sweep
 _MOST_SWEEPS = 400
-_UNLIMITED = 3.0  # speeds to try where there is no limit, as multiples of v_des and in rad/s
-METHOD = (2, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
+_UNLIMITED = 2.0  # speeds where there is no limit, as multiples of v_des + 1/s of the distance
+_MOST_TURN = 1.0  # [rad] of a step where there is no limit
+METHOD = (3, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,8 @@ class ValueProblem:
     limits: LimitSettings
 
 
-def solve(
-    problem: ValueProblem, progress: Callable[[float], None] = lambda done: None
-) -> ValueGrid:
-    """Return the value function of a problem; `progress` is called with the fraction done."""
+def solve(problem: ValueProblem) -> ValueGrid:
+    """Return the value function of a problem."""
     coarse, fine = GridAxes(_COARSE, _REACH), GridAxes(_FINE, _REACH)
     speed = min(problem.target.desired_speed, float(problem.limits.upper[0]))
     count = len(_CURVATURES)
@@ -68,7 +66,6 @@ def solve(
             coefficients = layer.filtered(np.minimum(ratio, mirrored))
         axes = fine
         layers.append(coefficients)
-        progress((number + 1) / count)
     return ValueGrid(fine, _CURVATURES, riccati, np.stack(layers))
 
 
@@ -86,10 +83,13 @@ class _Layer:
         self._state_cost = problem.cost.state_cost_matrix()
         self._input_cost = problem.cost.input_cost_matrix()
         forward = np.array([self._speed, curvature * self._speed])
-        self._low, self._high = limits.lower - forward, limits.upper - forward
         self._nodes = np.moveaxis(axes.nodes, 0, -1)
         distance = np.hypot(self._nodes[..., 0], self._nodes[..., 1])
         self._step = self._steps(distance, max(limits.upper[0], -limits.lower[0]))
+        # Where there is no limit, as much as a step can follow.
+        most = np.stack([_UNLIMITED * (self._speed + distance), _MOST_TURN / self._step], axis=-1)
+        self._low = np.where(np.isfinite(limits.lower), limits.lower, -most) - forward
+        self._high = np.where(np.isfinite(limits.upper), limits.upper, most) - forward
         base, self._base_slope = half_angle_form(self._nodes, riccati)
         self._base = np.maximum(base, 1e-9)
         self._counted = distance < _COUNTED
@@ -147,13 +147,9 @@ class _Layer:
         return best
 
     def _trials(self) -> list[FloatArray]:
-        """Return inputs from limit to limit, one for all nodes each."""
-        bound = _UNLIMITED * np.array([self._speed, 1.0])
-        low, high = np.maximum(self._low, -bound), np.minimum(self._high, bound)
-        axes = (np.linspace(low[0], high[0], 4), np.linspace(low[1], high[1], 5))
-        return [
-            np.broadcast_to(pair, (*self._nodes.shape[:-1], 2)) for pair in itertools.product(*axes)
-        ]
+        """Return inputs from limit to limit at the nodes, (..., 2) each."""
+        shares = itertools.product(np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, 5))
+        return [self._low + share * (self._high - self._low) for share in map(np.array, shares)]
 
     def _descending(self, ratio: FloatArray, coefficients: FloatArray) -> FloatArray:
         """Return u = -1/2 R^-1 g^T V_e within the limits at the nodes, (..., 2)."""

@@ -15,8 +15,8 @@ import os
 import pickle
 import sys
 import tempfile
+import threading
 import zipfile
-from collections.abc import Callable
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -74,9 +74,9 @@ def keep(problem: ValueProblem, content: bytes) -> None:
         _found[problem] = ValueGrid(axes, *parts)
 
 
-def store(problem: ValueProblem, progress: Callable[[float], None] = lambda done: None) -> bytes:
+def store(problem: ValueProblem) -> bytes:
     """Find a value function, write its file, if that is possible, and return what is in it."""
-    grid = solve(problem, progress)
+    grid = solve(problem)
     content = io.BytesIO()
     np.savez(
         content,
@@ -113,15 +113,15 @@ def _directory() -> FilePath:
 
 def main() -> None:
     """Find the values of the pickled problem that comes in, and write them out, for a node."""
-    node = os.getppid()
     os.nice(_NICE)
-
-    def look(done: float) -> None:
-        if os.getppid() != node:  # it has ended, and nobody waits any more
-            sys.exit(1)
-
     problem = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the node
-    sys.stdout.buffer.write(store(problem, look))
+    threading.Thread(target=_end_with_node, daemon=True).start()
+    sys.stdout.buffer.write(store(problem))
+
+
+def _end_with_node() -> None:
+    os.read(sys.stdin.fileno(), 1)  # the node writes no more, and its end ends this
+    os._exit(1)
 
 
 if __name__ == "__main__":  # python -m adp_path_follower.core.control.value_store

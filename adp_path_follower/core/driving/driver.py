@@ -172,23 +172,20 @@ class Driver:
                 that they do not allow.
 
         """
-        backwards = self.route is not None and any(
-            segment.reverse for segment in self.route.segments
-        )
-        if backwards and settings.limits.min_linear_vel >= 0.0:
+        segments = () if self.route is None else self.route.segments
+        if any(segment.reverse for segment in segments) and settings.limits.min_linear_vel >= 0.0:
             raise SettingsError(
                 "setting 'min_linear_vel' is 0, but the present path is driven backwards: send "
                 "another path first"
             )
         present = self.settings
+        far = present.policy.wide_region  # which another may replace between two steps
         same_motion = dataclasses.replace(
             settings,
             controller=present.controller,
             navigation=present.navigation,
             path=present.path,
-            policy=dataclasses.replace(
-                settings.policy, wide_region=present.policy.wide_region
-            ),  # which changes between two steps
+            policy=dataclasses.replace(settings.policy, wide_region=far),
         )
         if self._follower is None or same_motion == present:
             return Change(settings, self._follower)
@@ -386,9 +383,8 @@ class Driver:
         if segment.reverse is not self._faces_back:
             self._actuation.turn_round()
             self._faces_back = segment.reverse
-        follower = PathFollower(
-            self._of_segment(self.settings), segment.path, arc_length, actuation=self._actuation
-        )
+        settings = self._of_segment(self.settings)
+        follower = PathFollower(settings, segment.path, arc_length, actuation=self._actuation)
         if self.saved_weights is not None:
             problem = follower.start_from(self.saved_weights)
             if problem:

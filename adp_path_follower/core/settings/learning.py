@@ -228,9 +228,9 @@ class PolicySettings:
     wide_region: str = setting(
         "value_grid",
         "Policy far from the path, where nothing is learned: that of a value function on a grid, "
-        "found once for these settings and kept in ~/.cache (approach drives until it is there, or "
-        "where a velocity has no limit); towards the path at approach_angle (it needs no reverse); "
-        "the Riccati policy in the half-angle frame; or none (the learned policy everywhere).",
+        "found once for these settings and kept in ~/.cache (approach drives until it is there); "
+        "towards the path at approach_angle (it needs no reverse); the Riccati policy in the "
+        "half-angle frame; or none (the learned policy everywhere).",
         choices=WIDE_REGIONS,
         registry=OWN_FAR_POLICIES,
     )

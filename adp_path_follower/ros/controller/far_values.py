@@ -62,7 +62,13 @@ class FarValues:
 
     def _wait(self, process: subprocess.Popen[bytes], problem: ValueProblem) -> None:
         """Keep what a process finds, and wake the node."""
-        content, _ = process.communicate(pickle.dumps(problem))
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(pickle.dumps(problem))
+            process.stdin.flush()  # it stays open: the process ends when it is closed
+        content = process.stdout.read()
+        process.wait()
         if process is not self._process:
             return
         if process.returncode == 0:

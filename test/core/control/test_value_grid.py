@@ -106,7 +106,7 @@ def test_noise_does_not_keep_a_robot_between_two_ways():
 def test_what_is_stored_is_read_again_to_the_last_bit(grid, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(value_store, "_found", {})
-    monkeypatch.setattr(value_store, "solve", lambda problem, progress: grid)
+    monkeypatch.setattr(value_store, "solve", lambda problem: grid)
     problem = problem_of(DEFAULT)
     assert stored(problem) is None
     again = value_grid(DEFAULT)
@@ -122,7 +122,7 @@ def test_a_home_that_cannot_be_written_costs_only_time(grid, tmp_path, monkeypat
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     monkeypatch.setattr(value_store, "_found", {})
-    monkeypatch.setattr(value_store, "solve", lambda problem, progress: grid)
+    monkeypatch.setattr(value_store, "solve", lambda problem: grid)
     assert value_grid(DEFAULT).coefficients.tobytes() == grid.coefficients.tobytes()
 
 
