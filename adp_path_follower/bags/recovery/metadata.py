@@ -6,25 +6,11 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import yaml
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from adp_path_follower.core.files import parse_yaml
 
 _MOST_BYTES = 1024 * 1024  # more is no metadata.yaml; YAML of that size takes seconds to parse
-_DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
-# Bags before ROS 2 Jazzy number the policies as rmw does.
-_POLICIES: Mapping[str, tuple[str, ...]] = {
-    "history": ("system_default", "keep_last", "keep_all", "unknown"),
-    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
-    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
-    "liveliness": (
-        "system_default",
-        "automatic",
-        "manual_by_node",
-        "manual_by_topic",
-        "unknown",
-        "best_available",
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -67,33 +53,17 @@ def read_torn_metadata(file: FilePath) -> TornMetadata:
 
 def sound_qos_profiles(profiles: object) -> list[dict[str, Any]] | None:
     """Return QoS profiles, or those in a YAML text, as Jazzy spells them; None if unsound."""
-    if isinstance(profiles, str):
-        try:
-            profiles = parse_yaml(profiles) if len(profiles) <= _MOST_BYTES else None
-        except yaml.YAMLError:
-            return None
-    if not isinstance(profiles, list):
+    if not isinstance(profiles, str | list) or not 0 < len(profiles) <= _MOST_BYTES:
         return None
-    sound = [_sound_profile(profile) for profile in profiles]
-    return None if None in sound else [profile for profile in sound if profile is not None]
-
-
-def _sound_profile(profile: object) -> dict[str, Any] | None:
-    found = dict(_mapping(profile))
-    for key, names in _POLICIES.items():
-        value = found.get(key)
-        if isinstance(value, int) and 0 <= value < len(names):
-            found[key] = names[value]
-        elif value not in names:
+    try:
+        found = parse_qos(profiles)
+    except Exception:  # what the library makes of a damaged text
+        return None
+    for item in found:
+        times = (*item.deadline, *item.lifespan, *item.liveliness_lease_duration)
+        if not all(isinstance(number, int) for number in (item.depth, *times)):
             return None
-    for key in _DURATIONS:
-        duration = _mapping(found.get(key))
-        if not all(isinstance(duration.get(unit), int) for unit in ("sec", "nsec")):
-            return None
-    complete = isinstance(found.get("depth"), int) and isinstance(
-        found.get("avoid_ros_namespace_conventions"), bool
-    )
-    return found if complete else None
+    return [dict(item) for item in dump_qos_v9(found)]
 
 
 def _mapping(content: object) -> Mapping[Any, Any]:

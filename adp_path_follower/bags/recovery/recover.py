@@ -24,6 +24,7 @@ from adp_path_follower.bags.recovery.mcap_scan import (
     LATEST_TIME,
     MAGIC,
     MESSAGE_HEAD,
+    Judge,
     Record,
     RecordScanner,
     read_chunk,
@@ -43,15 +44,6 @@ _MOST_TAIL, _MOST_SUMMARY = 64 * 1024, 32 * 1024 * 1024  # where a summary is lo
 _PROGRESS_STEP = 1024 * 1024
 _FOOTER = bytes([Opcode.FOOTER, 20]) + bytes(7)
 _FOOTER_SIZE = 29
-_SUMMARY_OPCODES = (
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.STATISTICS,
-    Opcode.CHUNK_INDEX,
-    Opcode.ATTACHMENT_INDEX,
-    Opcode.METADATA_INDEX,
-    Opcode.SUMMARY_OFFSET,
-)
 
 
 @dataclass(frozen=True)
@@ -202,7 +194,7 @@ class _Copy:
     def add_file(self, file: FilePath, size: int, progress: Callable[[int], None]) -> None:
         self._start_file()
         with file.open("rb") as stream:
-            for definition in _summary_definitions(stream, size):
+            for definition in _summary_definitions(stream, size, self):
                 self._define(definition)
                 self._certain.add((type(definition), definition.id))
             shown = 0
@@ -312,7 +304,7 @@ def _meaning(schema: Schema) -> MessageDefinition:
     return message_definition(schema.name, schema.encoding, schema.data)
 
 
-def _summary_definitions(stream: BinaryIO, size: int) -> Iterator[Schema | Channel]:
+def _summary_definitions(stream: BinaryIO, size: int, judge: Judge) -> Iterator[Schema | Channel]:
     """Yield schemas and channels at the end of a file, in case the first ones are damaged."""
     start = max(0, size - _MOST_TAIL)
     stream.seek(start)
@@ -328,14 +320,9 @@ def _summary_definitions(stream: BinaryIO, size: int) -> Iterator[Schema | Chann
     summary = stream.read(length)
     if checksum and zlib.crc32(tail[footer : footer + 25], zlib.crc32(summary)) != checksum:
         return
-    found, offset = [], 0
-    while offset + 9 <= length:
-        opcode, body_length = struct.unpack_from("<BQ", summary, offset)
-        body = summary[offset + 9 : offset + 9 + body_length]
-        if opcode not in _SUMMARY_OPCODES:
-            return
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            found.append(read_definition(opcode, body))
-        offset += 9 + body_length
-    if offset == length:
-        yield from (definition for definition in found if definition is not None)
+    scanner = RecordScanner(io.BytesIO(summary), length, judge, lambda *_: None)
+    for record in scanner.records():
+        if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            definition = read_definition(record.opcode, record.body)
+            if definition is not None:
+                yield definition
