@@ -18,11 +18,16 @@ from adp_path_follower.core.geometry import FloatArray
 _UNITS = {"": 1.0, "m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "rad": 1.0, "deg": math.pi / 180}
 
 
+# libyaml reads ten times as fast; before 0.2.6 a deep nesting overflows its stack.
+_has_libyaml = yaml.__with_libyaml__ and yaml._yaml.get_version() >= (0, 2, 6)
+_Loader: Any = yaml.CSafeLoader if _has_libyaml else yaml.SafeLoader
+
+
 class _TwiceError(yaml.constructor.ConstructorError):
     """Report a name that a mapping has twice: which of the two values is meant?"""
 
 
-class _Yaml(yaml.SafeLoader):
+class _Yaml(_Loader):  # type: ignore[misc]  # either has the same interface
     """Safe YAML that reads 1e-3 as a number, as ROS does and YAML 1.1 does not."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -36,7 +41,8 @@ class _Yaml(yaml.SafeLoader):
                     raise _TwiceError(problem=problem, problem_mark=key.start_mark)
                 if name is not None:
                     names.add(name)
-        return super().construct_mapping(node, deep)
+        found: dict[Any, Any] = super().construct_mapping(node, deep)
+        return found
 
 
 _Yaml.add_implicit_resolver(
