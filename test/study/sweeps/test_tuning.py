@@ -33,7 +33,7 @@ from adp_path_follower.study.sweeps.study import (
 )
 
 PAPER = CONFIG / "paper.yaml"
-QUICK = f"params: {PAPER}\nstarts: [[0.1, 0.1, 0.1]]\nlearning: frozen\nduration: 1.0\nrate: 50.0\n"
+QUICK = f"params: {PAPER}\nstarts: [[0.1, 0.1, 0.1]]\nlearning: frozen\nduration: 0.2\nrate: 50.0\n"
 FIELDS = {field.name: field for field in setting_fields(Settings)}
 
 
@@ -59,9 +59,14 @@ def study_of(folder: FilePath, tuning, shared=False):
     return open_study(tuning, f"sqlite:///{folder / 'study.db'}", shared)
 
 
+def study_in_memory(tuning):
+    """Return a study that no other command goes on with; a database takes most of the time."""
+    return open_study(tuning, optuna.storages.InMemoryStorage(), shared=False)
+
+
 def tuned(folder: FilePath, text: str):
     tuning = tuning_of(folder, text)
-    study = study_of(folder, tuning)
+    study = study_in_memory(tuning)
     tune(study, tuning, Inline(), lambda fraction: None)
     return study, results(study, tuning)
 
@@ -159,7 +164,7 @@ def test_ranges_without_anything_that_is_allowed_end_in_a_sentence(tmp_path):
         "settings: {wide_region_levels: {low: [5.0, 1.0], high: [6.0, 2.0]}}\ntrials: 3",
     )
     with pytest.raises(AdpError, match="hardly any settings that are allowed: setting 'wide_reg"):
-        tune(study_of(tmp_path, tuning), tuning, Inline(), lambda fraction: None)
+        tune(study_in_memory(tuning), tuning, Inline(), lambda fraction: None)
 
 
 def test_what_is_unstable_is_no_candidate(tmp_path):
@@ -169,14 +174,14 @@ def test_what_is_unstable_is_no_candidate(tmp_path):
         starts: [[-0.5, 0.25, -0.5]]
         learning: cold
         rate: 25.0
-        duration: 12.0
+        duration: 7.0
         settings: {{basis: [paper_misprinted, paper], actor_gain: {{low: 4.0, high: 6.0}}}}
         trials: 8
         """
     file = tmp_path / "tune.yaml"
     file.write_text(textwrap.dedent(text))
     tuning = read_tuning(file)
-    study = study_of(tmp_path, tuning)
+    study = study_in_memory(tuning)
     tune(study, tuning, Inline(), lambda fraction: None)
     found = results(study, tuning)
     kinds = [tuning.values(trial.params)["basis"] for trial in tried(study)]
