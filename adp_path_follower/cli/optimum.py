@@ -25,6 +25,7 @@ from adp_path_follower.cli.outputs import (
     write_json,
     write_npz,
 )
+from adp_path_follower.core.control.far_from_path import missing_values, without_values
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
@@ -33,6 +34,7 @@ from adp_path_follower.core.path.speed_profile import speed_varies
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import config_file
+from adp_path_follower.study.simulation.simulate import simulate
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.optimum.collocation import Optimum
@@ -79,9 +81,9 @@ def optimum(
     r"""Find what the best controller would cost, by offline optimal control.
 
     Legendre-Gauss-Radau collocation on a graded mesh, solved by IPOPT from several starting
-    guesses. Speed, gains, cost and limits are those of the parameters (the paper's, without
-    limits, if none are given). How much J* changes with twice as many mesh intervals, and with a
-    horizon half as long again, stands beside it.
+    guesses, among them the controller's own motion. Speed, gains, cost and limits are those of the
+    parameters (the paper's, without limits, if none are given). How much J* changes with twice as
+    many mesh intervals, and with a horizon half as long again, stands beside it.
 
     \b
     The paper's start:
@@ -95,7 +97,7 @@ def optimum(
     """
     from adp_path_follower.study.optimum.collocation import OptimumSolver
     from adp_path_follower.study.optimum.costate import solve_costates
-    from adp_path_follower.study.optimum.problem import OptimumError
+    from adp_path_follower.study.optimum.problem import OptimumError, Ways
 
     settings = load_settings(
         Settings, "path_follower", params or config_file("paper.yaml"), assignments
@@ -107,12 +109,24 @@ def optimum(
     check_writable(json_file, npz_file, figure_file)
     check_figure(figure_file)
     solver = OptimumSolver(settings, path, start_arc_length, horizon)
+    ways, known = Ways(len(errors)), np.asarray(np.isfinite(errors).all(axis=1))
+    if known.any():
+        simulate(
+            without_values(settings) if missing_values(settings) else settings,
+            path,
+            errors[known],
+            start_arc_length=start_arc_length,
+            duration=horizon,
+            rate=50.0,
+            learning="frozen",
+            observe=ways.of_another(known),
+        )
     rows: list[_Row] = []
     with progress_bar(f"solving {len(errors)} starts") as progress:
         for index, start in enumerate(errors):
             found, check_cost, problem = None, None, ""
             try:
-                found = solver.solve(start)
+                found = solver.solve(start, ways.motions(index))
                 problem = _unsettled(found, start)
                 check_cost = solve_costates(solver.problem, found.motion).cost if check else None
                 problem = problem or _disagreement(found, check_cost, start)

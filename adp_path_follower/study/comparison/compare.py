@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.drawing.charts import ShownRun
 from adp_path_follower.study.comparison.controllers import Contender, contenders
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
-from adp_path_follower.study.optimum.problem import OptimumError
+from adp_path_follower.study.optimum.problem import OptimumError, Ways
 from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
 from sim_unicycle.fault_script import FaultScript
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _LONGEST_LAP = 300.0  # [s] of a lap, or of an open path
+_AGREEMENT = 1e-5  # between a controller's cost and J*: both are integrals of motions
 
 
 @dataclass(frozen=True)
@@ -148,20 +149,17 @@ def compare(
             "max_lateral_accel, max_linear_accel, max_linear_decel and max_angular_accel to .inf, "
             "and desired_speed no higher than the limits of velocity allow in each bend"
         )
-    known = np.isfinite(starts).all(axis=1)
+    known = np.asarray(np.isfinite(starts).all(axis=1))
     if not known.any():
         raise AdpError("starts must be finite values s, y, theta, three for each start")
     for item in chosen:  # what cannot run is said before the long work
         item.factory(item.settings, path, np.full(1, start_arc_length))
     parts = len(chosen) + 1
-    optima, problems = _optima(
-        settings, path, starts, start_arc_length, duration, lambda part: progress(part / parts)
-    )
-    optimal = np.array([math.nan if optimum is None else optimum.cost for optimum in optima])
+    ways = Ways(len(starts))
     outcomes = []
     for index, item in enumerate(chosen):
 
-        def advance(part: float, done: int = index + 1) -> None:
+        def advance(part: float, done: int = index) -> None:
             progress((done + part) / parts)
 
         run = functools.partial(
@@ -176,10 +174,23 @@ def compare(
             controller=item.factory,
         )
         lap = _lap(path, start_arc_length, item.settings.target.desired_speed)
-        found = _outcome(item, run, path, starts, duration, lap, optimal, len(chosen), advance)
+        observed = functools.partial(run, observe=ways.of_another(known))
+        found = _outcome(item, observed, run, path, starts, duration, lap, len(chosen), advance)
         outcomes.append(found)
+    ideal = plant is None or plant.ideal
+    costs = np.array([found.cost for found in outcomes]) if ideal else np.zeros((0, len(starts)))
+    solver = OptimumSolver(settings, path, start_arc_length, duration)
+    optima, problems = _optima(
+        *(solver, starts, ways, costs),
+        lambda part: progress((len(chosen) + part) / parts),
+    )
+    optimal = np.array([math.nan if optimum is None else optimum.cost for optimum in optima])
+    rated = tuple(
+        replace(found, cost_ratio=np.where(found.failed, math.nan, found.cost / optimal))
+        for found in outcomes
+    )
     notes = _notes(starts, optima, duration)
-    return Comparison(path_name, starts, optimal, tuple(problems), notes, tuple(outcomes))
+    return Comparison(path_name, starts, optimal, tuple(problems), notes, rated)
 
 
 def _lap(path: Path, start_arc_length: float, speed: float) -> float:
@@ -191,20 +202,28 @@ def _lap(path: Path, start_arc_length: float, speed: float) -> float:
 
 
 def _optima(
-    settings: Settings,
-    path: Path,
+    solver: OptimumSolver,
     starts: FloatArray,
-    start_arc_length: float,
-    duration: float,
+    ways: Ways,
+    costs: FloatArray,
     progress: Callable[[float], None],
 ) -> tuple[list[Optimum | None], list[str]]:
-    """Return the optimum of each start, None where there is none, and sentences that say why."""
-    solver = OptimumSolver(settings, path, start_arc_length, duration)
+    """Return the optimum of each start, None where there is none, and sentences that say why.
+
+    An optimum above one of the costs (controllers, B) is none.
+    """
     found: list[Optimum | None] = []
     problems = []
     for index, start in enumerate(starts):
         try:
-            found.append(solver.solve(start))
+            optimum = solver.solve(start, ways.motions(index))
+            least = float(np.nanmin(costs[:, index], initial=math.inf))
+            if least < optimum.cost * (1.0 - _AGREEMENT) - _AGREEMENT:
+                raise OptimumError(
+                    f"optimum from the start {start.tolist()} is only a local one: it costs "
+                    f"{optimum.cost:.7g}, but a controller {least:.7g}; no J/J* is told of it"
+                )
+            found.append(optimum)
         except OptimumError as error:
             found.append(None)
             problems.append(str(error))
@@ -231,15 +250,16 @@ def _notes(
 
 def _outcome(
     item: Contender,
-    simulated: Callable[..., SimulationResult],
+    from_starts: Callable[..., SimulationResult],
+    on_a_lap: Callable[..., SimulationResult],
     path: Path,
     starts: FloatArray,
     duration: float,
     lap: float,
-    optimal: FloatArray,
     among: int,
     progress: Callable[[float], None],
 ) -> Outcome:
+    """Return how a controller did, without J/J*."""
     known = np.isfinite(starts).all(axis=1)
 
     def of_all(values: FloatArray) -> FloatArray:
@@ -248,10 +268,10 @@ def _outcome(
         every[known] = values
         return every
 
-    many = simulated(
+    many = from_starts(
         starts=starts[known], duration=duration, progress=lambda part: progress(0.5 * part)
     )
-    single = simulated(duration=lap, record=True, progress=lambda part: progress(0.5 + 0.5 * part))
+    single = on_a_lap(duration=lap, record=True, progress=lambda part: progress(0.5 + 0.5 * part))
     assert single.trajectories is not None  # record=True
     counted = single.trajectories.time >= criteria.TRANSIENT
     if not path.closed:
@@ -259,11 +279,10 @@ def _outcome(
     off_path = criteria.is_off_path(many.final_error[:, 1])
     failed = np.zeros(len(starts), dtype=bool)
     failed[known] = many.failed | off_path | ~np.isfinite(many.cost)
-    cost = of_all(many.cost)
     return Outcome(
         name=item.name,
-        cost_ratio=np.where(failed, math.nan, cost / optimal),
-        cost=cost,
+        cost_ratio=np.full(len(starts), math.nan),
+        cost=of_all(many.cost),
         failed=failed,
         settling_time=of_all(many.settling_time),
         effort=of_all(many.effort),

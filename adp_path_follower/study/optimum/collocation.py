@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,7 @@ _DEGREE = 5  # of the polynomials on each mesh interval
 _INTERVALS = 40
 _GRADING = 4.0  # logarithm of how much longer the last interval is than the first
 _TOLERANCE = 1e-6  # relative change of J from one mesh to the next that counts as none
+_TURNED_TOLERANCE = 2e-5  # the same where theta passes pi, at which the cost has a kink
 _NOTHING = 1e-9  # a cost in which nothing is to be won: the start is on the path
 _DENSITY_EXPONENT = 1.0 / 3.0  # of an interval's error, in how many intervals take its place
 _KEPT = 0.3  # of a mesh's intervals that stay where they are
@@ -120,12 +122,15 @@ class OptimumSolver:
         self._horizon = horizon
         self._mesh = functools.lru_cache(_MOST_MESHES)(self._transcribed)
 
-    def solve(self, start: FloatArray) -> Optimum:
-        """Return the optimal motion from an error [s, y, theta]; raises as `solve_optimum` does."""
+    def solve(self, start: FloatArray, ways: Sequence[Motion] = ()) -> Optimum:
+        """Return the optimal motion from an error [s, y, theta]; raises as `solve_optimum` does.
+
+        `ways` are known motions from there, and further starting guesses.
+        """
         start = np.asarray(start, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise OptimumError(f"start is {start.tolist()}, but must be finite values s, y, theta")
-        candidates = self._candidates(start)
+        candidates = self._candidates(start, ways)
         if not candidates:
             raise OptimumError(
                 f"no optimum found from the start {start.tolist()}: the solver did not converge "
@@ -142,12 +147,13 @@ class OptimumSolver:
             guesses=tuple(motion.cost for _, motion in candidates),
         )
 
-    def _candidates(self, start: FloatArray) -> list[tuple[Motion, Motion]]:
+    def _candidates(self, start: FloatArray, ways: Sequence[Motion]) -> list[tuple[Motion, Motion]]:
         """Return what starting guesses lead to, on a mesh and on one twice as fine, best first."""
         breaks = _graded(_INTERVALS // 2, self._horizon)
         coarse, fine = self._mesh(breaks), self._mesh(_halved(breaks))
         found: list[Motion] = []
-        for guess in self.problem.guesses(start, coarse.time):
+        known = [way.at(coarse.time) for way in ways]
+        for guess in [*known, *self.problem.guesses(start, coarse.time)]:
             motion = coarse.solve(guess)
             if motion is not None and all(_change(motion, other) > 1e-6 for other in found):
                 found.append(motion)
@@ -159,7 +165,9 @@ class OptimumSolver:
         """Return motion, mesh and relative change of J, once halving intervals changes nothing."""
         breaks = _halved(_graded(_INTERVALS // 2, self._horizon))
         change = _change(best, coarse)
-        while change > _TOLERANCE:
+        turns = np.abs(best.state[:, 2]).max() > math.pi
+        tolerance = _TURNED_TOLERANCE if turns else _TOLERANCE
+        while change > tolerance:
             if len(breaks) > 4 * _INTERVALS:
                 raise OptimumError(
                     f"optimum from the start {best.state[0, :3].tolist()} changes by {change:.1e} "

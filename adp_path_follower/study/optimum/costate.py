@@ -28,6 +28,11 @@ class Extremal:
 
 def solve_costates(problem: Problem, motion: Motion) -> Extremal:
     """Return the extremal near a motion, such as a collocation's; OptimumError if there is none."""
+    if np.abs(motion.state[:, 2]).max() > np.pi:
+        raise OptimumError(
+            "no check by costates where the heading error passes pi, as the cost has a kink there: "
+            "leave out --check"
+        )
     start = motion.state[0]
     unknown = np.zeros((9, len(motion.time)))
     unknown[:4] = motion.state.T

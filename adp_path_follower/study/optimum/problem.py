@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.errors import AdpError
@@ -16,6 +17,7 @@ from adp_path_follower.core.geometry import FloatArray, wrap_angle
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import Library
+from adp_path_follower.study.simulation.simulate import Observer
 
 casadi = Library("casadi", "the offline optimum", "optimum")
 
@@ -82,7 +84,9 @@ class Problem:
             curvature * (v_des - speed) + u[1],
             speed,
         )
-        error = state[:3]
+        # As everybody's cost does it, whichever way round the robot turns.
+        wrapped = theta - 2.0 * math.pi * casadi.floor((theta + math.pi) / (2.0 * math.pi))
+        error = casadi.vertcat(s, y, wrapped)
         cost = casadi.bilin(self.state_cost, error, error) + casadi.bilin(self.input_cost, u, u)
         return casadi.Function("problem", [state, u], [rate, cost, u[1] + curvature * v_des])
 
@@ -132,3 +136,36 @@ def _windings(start: FloatArray) -> list[FloatArray]:
     if abs(theta) > 0.5 * math.pi:
         turns.append(theta - math.copysign(2.0 * math.pi, theta))
     return [np.array([start[0], start[1], turn]) for turn in turns]
+
+
+class Ways:
+    """The motions of all controllers from each start: guesses for the optimum."""
+
+    def __init__(self, starts: int) -> None:
+        """Expect runs from so many starts."""
+        self._steps: list[list[list[FloatArray]]] = [[] for _ in range(starts)]
+
+    def of_another(self, known: np.ndarray) -> Observer:
+        """Return what takes down the runs of another controller from the known starts (B,)."""
+        numbers = np.flatnonzero(known)
+        for steps in self._steps:
+            steps.append([])
+
+        def observe(runs: slice, time: float, pose: FloatArray, output: ControlOutput) -> None:
+            arc_length = output.arc_length[:, None]
+            rows = np.hstack([output.error, arc_length, output.modified_input])
+            for number, row in zip(numbers[runs].tolist(), rows, strict=True):
+                self._steps[number][-1].append(np.append(time, row))
+
+        return observe
+
+    def motions(self, start: int) -> list[Motion]:
+        """Return the motions from a start, without those that were lost."""
+        found = []
+        for steps in self._steps[start]:
+            rows = np.array(steps)
+            if len(rows) and np.isfinite(rows).all():
+                state, heading = rows[:, 1:5].copy(), np.unwrap(rows[:, 3])
+                state[:, 2] = heading - 2.0 * math.pi * round(heading[-1] / (2.0 * math.pi))
+                found.append(Motion(math.inf, rows[:, 0], state, rows[:, 5:]))
+        return found

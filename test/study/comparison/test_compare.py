@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -17,6 +18,7 @@ from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.path.library import circle, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
+from adp_path_follower.study.comparison import compare as comparison
 from adp_path_follower.study.comparison.compare import Comparison, Outcome, compare
 from adp_path_follower.study.comparison.controllers import CONTROLLERS, Contender, contenders
 from adp_path_follower.study.comparison.figures import draw_comparison
@@ -74,6 +76,33 @@ def test_nobody_is_better_than_the_optimum_and_the_learned_policy_is_nearest(fou
     assert best["adp"] < 1.005 < best["lqr"] < best["lapierre_soetanto"]
 
 
+def test_where_guesses_fail_the_way_of_a_controller_leads_to_the_optimum(monkeypatch):
+    """From here the guesses alone led to 24.85, and the cheapest way turns past pi."""
+    monkeypatch.setattr(comparison, "_LONGEST_LAP", 1.0)
+    start = np.array([[-1.970, 1.718, 2.816]])
+    found = compare(build(Settings, {}), "line", named_path("line"), start, ["adp"], duration=12.0)
+    assert found.problems == ()
+    assert found.optimal_cost[0] < 24.42
+    assert 1.0 - 1e-5 < found.outcomes[0].cost_ratio[0] < 1.001
+
+
+def test_an_optimum_that_a_controller_undercuts_is_none(monkeypatch):
+    monkeypatch.setattr(comparison, "_LONGEST_LAP", 1.0)
+    solve = comparison.OptimumSolver.solve
+
+    def dearer(*arguments):
+        found = solve(*arguments)
+        motion = dataclasses.replace(found.motion, cost=2.0 * found.cost)
+        return dataclasses.replace(found, motion=motion)
+
+    monkeypatch.setattr(comparison.OptimumSolver, "solve", dearer)
+    found = compare(
+        build(Settings, UNLIMITED), "circle:1.0", circle(1.0), STARTS[:1], ["lqr"], duration=6.0
+    )
+    assert "is only a local one" in found.problems[0]
+    assert np.isnan(found.outcomes[0].cost_ratio).all()
+
+
 def test_a_lap_is_measured_after_its_first_ten_seconds(found):
     lap = 2.0 * math.pi / 0.5
     for outcome in found.outcomes:
@@ -99,8 +128,6 @@ class Standing:
 
 
 def test_the_distance_from_the_path_is_that_to_its_nearest_place(monkeypatch):
-    from adp_path_follower.study.comparison import compare as comparison
-
     item = Contender("standing", build(Settings, UNLIMITED), Standing, "frozen", rate=20.0)
     monkeypatch.setattr(comparison, "contenders", lambda *_: [item])
     result = compare(
