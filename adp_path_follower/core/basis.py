@@ -196,7 +196,7 @@ class PolynomialBasis:
             for axis in range(3)
         ]
 
-    @property
+    @functools.cached_property
     def labels(self) -> tuple[str, ...]:
         """Return the name of each term, length L, such as "s y" or "s y² θ"."""
         names = STATE_LABELS
@@ -272,7 +272,7 @@ class HalfAngleBasis:
         """Take the basis whose s and y are to be a and b."""
         self._basis = basis
 
-    @property
+    @functools.cached_property
     def labels(self) -> tuple[str, ...]:
         """Return the name of each term, length L, such as "a b" or "b² θ"."""
         return tuple(

@@ -94,16 +94,21 @@ def setting(default: Any, doc: str, **spec: Any) -> Any:
     return dataclasses.field(default=default, metadata={"spec": Spec(doc=doc, **spec)})
 
 
+@functools.cache  # as they are slow to look up, and settings are made by the thousand in sweeps
+def _hints(owner: Any) -> dict[str, Any]:
+    return typing.get_type_hints(owner)
+
+
 def setting_fields(tree: Any) -> tuple[SettingField, ...]:
     """Return every setting of a tree (a class), in order of declaration."""
     return _fields_of(tree)
 
 
-@functools.cache  # as types are slow to look up, and settings are made by the thousand in sweeps
+@functools.cache
 def _fields_of(tree: Any) -> tuple[SettingField, ...]:
     found = []
-    for group_name, group in typing.get_type_hints(tree).items():
-        hints = typing.get_type_hints(group)
+    for group_name, group in _hints(tree).items():
+        hints = _hints(group)
         for field in dataclasses.fields(group):
             hint = hints[field.name]
             is_list = typing.get_origin(hint) is tuple
@@ -136,7 +141,7 @@ def build(tree: type[Tree], values: Mapping[str, object]) -> Tree:
             raise SettingsError(unknown_name(name, fields))
         field = fields[name]
         grouped[field.group][name] = checked(field, value)
-    hints = typing.get_type_hints(tree)
+    hints = _hints(typing.cast("Any", tree))  # a class, which mypy takes for unhashable
     return tree(**{group: hints[group](**found) for group, found in grouped.items()})
 
 
