@@ -103,7 +103,8 @@ class ClosedLoop:
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("name", NAMES)
 def test_every_peer_comes_to_the_path(name, path):
-    loop = ClosedLoop(name, PATHS[path], STARTS, rate=25.0, count_cost=False).run(20.0)
+    duration = 10.0 if name == "nmpc" else 20.0  # it is there sooner, and slow to compute
+    loop = ClosedLoop(name, PATHS[path], STARTS, rate=25.0, count_cost=False).run(duration)
     place = place_near(PATHS[path], loop.pose, loop.controller.target.arc_length)
     left = tracking_error(loop.pose, PATHS[path].frame(place).pose)
     # Stanley's front axle is on the circle when the robot is wheelbase^2 kappa / 2 within it.
@@ -146,17 +147,19 @@ finite = st.floats(-1e9, 1e9) | st.floats(-3.0, 3.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@hypothesis_settings(max_examples=10, deadline=None)
-@given(poses=st.lists(st.tuples(finite, finite, finite), min_size=1, max_size=3))
-def test_any_finite_pose_gives_a_command_within_the_limits(name, poses):
-    for settings in (LIMITED, SETTINGS):
-        for path in PATHS.values():
-            controller = PEERS[name].factory(settings, path, np.zeros(1))
-            for pose in poses:
-                command = controller.step(np.array([pose]), 0.02).command
-                assert np.isfinite(command).all()
-                assert (command >= settings.limits.lower).all()
-                assert (command <= settings.limits.upper).all()
+@hypothesis_settings(max_examples=25, deadline=None)
+@given(
+    settings=st.sampled_from([LIMITED, SETTINGS]),
+    path=st.sampled_from(sorted(PATHS)),
+    poses=st.lists(st.tuples(finite, finite, finite), min_size=1, max_size=3),
+)
+def test_any_finite_pose_gives_a_command_within_the_limits(name, settings, path, poses):
+    controller = PEERS[name].factory(settings, PATHS[path], np.zeros(1))
+    for pose in poses:
+        command = controller.step(np.array([pose]), 0.02).command
+        assert np.isfinite(command).all()
+        assert (command >= settings.limits.lower).all()
+        assert (command <= settings.limits.upper).all()
 
 
 def test_pursuit_follows_the_arc_through_the_point_ahead():

@@ -17,7 +17,7 @@ from adp_path_follower.study.paper.reproduce import Reproduction, draw_paper, re
 
 @pytest.fixture(scope="module")
 def found() -> Reproduction:
-    return reproduce(lambda fraction: None, long_duration=60.0)
+    return reproduce(lambda fraction: None, long_duration=30.0)
 
 
 @pytest.mark.smoke
