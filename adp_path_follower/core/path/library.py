@@ -17,7 +17,6 @@ from adp_path_follower.core.files import expanded, read_csv_columns, read_yaml
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.points import distinct_points, joined
-from adp_path_follower.core.path.preparation import prepare
 from adp_path_follower.core.path.route import Route, route_of
 from adp_path_follower.core.settings.groups import PathSettings
 
@@ -111,6 +110,8 @@ def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path
 
 def named_route(name: str, settings: PathSettings) -> Route:
     """Return a name's route as the controller drives it, also backwards; errors as `named_path`."""
+    from adp_path_follower.core.path.preparation import prepare  # as below
+
     if not is_path_file(name):
         return route_of(named_path(name))
     file = expanded(name)
@@ -127,6 +128,9 @@ def path_through(
     points: FloatArray, closed: bool | None, settings: PathSettings | None = None
 ) -> Path:
     """Return the path along points as `read_points` gives them; PathError if they make none."""
+    # Commands that prepare no path need not wait for scipy's splines, half of their start.
+    from adp_path_follower.core.path.preparation import prepare
+
     forwards = replace(settings or PathSettings(), allow_reversing=False)
     return prepare(points, forwards, closed=closed).segments[0].path
 
