@@ -32,6 +32,8 @@ def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) 
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+    for figure in data["figures"].values():
+        figure["layout"].pop("template", None)  # the page has its own colours
     coded = _packed(to_json_plotly(data))
     page = environment.get_template(f"{name}.html.j2").render(
         **content,

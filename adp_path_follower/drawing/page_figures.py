@@ -37,13 +37,10 @@ def page_figures(runs: Sequence[ShownRun]) -> dict[str, Any]:
         maps = runs[0].charts.steering
         for key, found in zip(("policy_before", "policy_after"), maps, strict=False):
             figures[key] = _steering(found, maps)
-    pages: dict[str, Any] = {}
-    for key, figure in figures.items():
-        content = figure.to_dict()
-        content["layout"].pop("template", None)  # the page has its own colours
-        content["over_time"] = key in keys or key == "events"
-        pages[key] = content
-    return pages
+    return {
+        key: {**figure.to_dict(), "over_time": key in keys or key == "events"}
+        for key, figure in figures.items()
+    }
 
 
 def motions(runs: Sequence[ShownRun]) -> list[dict[str, Any]]:

@@ -142,9 +142,10 @@
         if (trace.marker && trace.marker.colorbar) {
           trace.marker.colorbar = {
             ...trace.marker.colorbar,
-            title: { text: "|cross-track| [mm]", side: "top" }, orientation: "h", y: -0.18, yanchor: "top", thickness: 10,
+            title: { text: "|cross-track| [mm]", side: "top" }, orientation: "h", y: -0.22, yanchor: "top",
+            thickness: 10, len: 0.85,
           };
-          layout.margin.b = 96;
+          layout.margin.b = 104;
         }
       }
     }

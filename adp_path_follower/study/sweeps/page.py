@@ -74,19 +74,13 @@ def sweep_figures(found: Results) -> dict[str, tuple[str, str, dict[str, Any]]]:
     for number, (across, up) in enumerate(pairs, start=1):
         figures[f"map_{number}"] = (
             f"{name} over {axes[across].name} and {axes[up].name}",
-            f"{caption}: the median over everything else that varies; empty where there is none. "
-            "Point at a field to read the number of combinations.",
+            f"{caption}: the median over everything else that varies. × marks fields in which no "
+            "combination is stable; point at one to read the number of combinations.",
             _heat_map(name, values, axes[across], axes[up]),
         )
     return {
-        key: (title, caption, _content(figure)) for key, (title, caption, figure) in figures.items()
+        key: (title, caption, figure.to_dict()) for key, (title, caption, figure) in figures.items()
     }
-
-
-def _content(figure: go.Figure) -> dict[str, Any]:
-    content: dict[str, Any] = figure.to_dict()
-    content["layout"].pop("template", None)  # the page has its own colours
-    return content
 
 
 def _measure(found: Results) -> tuple[str, FloatArray, str]:
@@ -134,13 +128,15 @@ def _heat_map(name: str, score: FloatArray, first: _Axis, second: _Axis) -> go.F
     """Return a map of the median score over everything else that varies."""
     median = np.full((len(second.labels), len(first.labels)), math.nan)
     text = np.full(median.shape, "", dtype=object)
+    unstable = []  # fields, as the labels of both axes
     for row, column in np.ndindex(*median.shape):
         inside = (second.bins == row) & (first.bins == column)
         known = inside & np.isfinite(score)
         if known.any():
             median[row, column] = np.median(score[known])
-        if inside.any():
             text[row, column] = f"of {int(known.sum())} of {int(inside.sum())} combinations"
+        elif inside.any():
+            unstable.append((first.labels[column], second.labels[row]))
     figure = go.Figure(
         go.Heatmap(
             x=first.labels,
@@ -149,16 +145,23 @@ def _heat_map(name: str, score: FloatArray, first: _Axis, second: _Axis) -> go.F
             customdata=text,
             colorscale="Viridis",
             reversescale=True,
-            colorbar={"title": {"text": name, "side": "right"}},
+            colorbar={"title": {"text": _title(name), "side": "top"}},
             hoverongaps=False,
             hovertemplate="%{x}, %{y}: %{z:.5g}, median %{customdata}<extra></extra>",
         )
+    )
+    figure.add_scatter(
+        x=[label for label, _ in unstable],
+        y=[label for _, label in unstable],
+        mode="markers",
+        marker={"symbol": "x", "size": 9, "color": COLORS[1]},
+        hovertemplate="%{x}, %{y}: none is stable<extra></extra>",
     )
     figure.update_xaxes(title_text=first.name, type="category", automargin=True)
     figure.update_yaxes(
         title={"text": second.name, "standoff": 10}, type="category", automargin=True
     )
-    figure.update_layout(height=_HEIGHT)
+    figure.update_layout(height=_HEIGHT, showlegend=False)
     return figure
 
 
@@ -175,7 +178,7 @@ def _curve(name: str, score: FloatArray, axis: _Axis) -> go.Figure:
         hovertemplate="%{x}: %{y:.5g}<extra></extra>",
     )
     figure.update_xaxes(title_text=axis.name, type="category", automargin=True)
-    figure.update_yaxes(title_text=name)
+    figure.update_yaxes(title_text=_title(name))
     figure.update_layout(height=_HEIGHT, showlegend=False)
     return figure
 
@@ -217,7 +220,7 @@ def _described(found: Results, trial: FrozenTrial) -> str:
 
 
 def _title(name: str) -> str:
-    unit = OBJECTIVES[name].unit
+    unit = OBJECTIVES[name].unit if name in OBJECTIVES else ""
     return f"{name} [{unit}]" if unit else name
 
 

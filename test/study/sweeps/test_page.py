@@ -119,6 +119,14 @@ def test_heat_maps_show_what_matters_first(sweep):
     assert list(figures) == ["pareto", "map_1", "map_2", "map_3"]
     assert ATTACK not in str(figures["pareto"]["data"])
 
+    assert not first["data"][1]["x"]
+    bad = [n for n in range(sweep.combinations) if sweep.varied(n)["actor_gain"] == 100.0]
+    figures = drawn(results_of(sweep, bad)).values()
+    maps = [
+        figure for figure in figures if figure["layout"]["yaxis"]["title"]["text"] == "actor_gain"
+    ]
+    assert {label for figure in maps for label in figure["data"][1]["y"]} == {"100"}
+
 
 def test_where_nothing_is_stable_the_maps_show_how_much_is_not(sweep):
     found = results_of(sweep, range(96))
