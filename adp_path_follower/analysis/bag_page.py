@@ -11,7 +11,6 @@ import numpy as np
 from adp_path_follower.analysis.bag_analysis import NOT_MEASURED, BagAnalysis, number
 from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.run_charts import LEARNED
-from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.criteria import OFF_PATH, SETTLED
 from adp_path_follower.drawing.charts import Charts, ShownRun
 from adp_path_follower.drawing.figure_style import color
@@ -222,6 +221,7 @@ def _headline(analysis: BagAnalysis) -> Headline:
     if math.isfinite(metrics["cost_ratio"]):
         percent = 100.0 * (metrics["cost_ratio"] - 1.0)
         sentences.append(f"at {percent:.3g} % more than the least possible cost")
+    model = analysis.settings.get("robot_model", NOT_MEASURED)
     ending = "no fault" if not faults else f"{faults} fault{'s' * (faults > 1)}"
     cards = (
         _cost_card(metrics["cost_ratio"], metrics["cost"]),
@@ -236,7 +236,7 @@ def _headline(analysis: BagAnalysis) -> Headline:
             f"error below {SETTLED:g} from then",
         ),
         _learned_card(analysis),
-        ("robot model", _text(analysis, "robot_model"), "of the controller"),
+        ("robot model", model.strip("\"'"), "of the controller"),
         ("faults", str(faults), _halted(analysis)),
     )
     verdict = f"{', '.join(sentences)}; {ending}."
@@ -260,17 +260,8 @@ def _learned_card(analysis: BagAnalysis) -> tuple[str, str, str]:
     if not len(time):
         return "learned", NOT_MEASURED, "the bag has no Bellman error while driving"
     late = time >= time[-1] - _LATE * (time[-1] - time[0])
-    begun, ended = _middle(values[time <= time[0] + _EARLY]), _middle(values[late])
+    begun, ended = np.median(values[time <= time[0] + _EARLY]), np.median(values[late])
     return "learned", f"{begun:.1e} → {ended:.1e}", "Bellman error, at first and at the end"
-
-
-def _text(analysis: BagAnalysis, name: str) -> str:
-    """Return a setting as text without quotation marks."""
-    return analysis.settings.get(name, NOT_MEASURED).strip("\"'")
-
-
-def _middle(values: FloatArray) -> float:
-    return float(np.median(values))
 
 
 def _halted(analysis: BagAnalysis) -> str:

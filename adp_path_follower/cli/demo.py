@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -171,10 +172,7 @@ def _report(
         )
         view = view_of_replay(run, replayed)
         draw_figures(view, directory / "figures", paper_optimum() if known else None)
-        analysis, has_page = analysing.result()
-    written = "figures/, bag/ (rosbag2, MCAP), summary.json, trajectory.tum, logs/"
-    if has_page:
-        written = f"report.html, {written}"
+        analysis = analysing.result()
     commands, identical = len(replayed.outputs), int(replayed.identical.sum())
     control_rate = (commands - 1) / float(view.time[-1]) if view.time[-1] > 0.0 else math.nan
     summary = {
@@ -192,16 +190,13 @@ def _report(
     click.echo(
         f"\nPathFollower repeats {identical} of {commands} commands exactly from the recorded "
         f"odometry, {control_rate:.1f} per simulated second.\n{duration:g} s of simulated time "
-        f"took {wall_time:.0f} s. In {directory}: {written}"
+        f"took {wall_time:.0f} s. In {directory}: {', '.join(sorted(os.listdir(directory)))}"
     )
-    return page if has_page else None
+    return page if page.exists() else None
 
 
-def _analyse(bag: FilePath, page: FilePath) -> tuple[BagAnalysis, bool]:
-    """Analyse a bag and write its page; return whether the libraries that a page needs are there.
-
-    This runs in a process of its own.
-    """
+def _analyse(bag: FilePath, page: FilePath) -> BagAnalysis:
+    """Analyse a bag, in a process of its own, and write its page if the libraries are there."""
     from adp_path_follower.analysis.bag_analysis import analyse_bag
 
     analysis = analyse_bag(bag, {}, 1, page.with_name("trajectory.tum"), title="demo")
@@ -209,8 +204,8 @@ def _analyse(bag: FilePath, page: FilePath) -> tuple[BagAnalysis, bool]:
         require("report.html", "report")
     except AdpError as missing:
         click.echo(f"adp: {missing}", err=True)
-        return analysis, False
+        return analysis
     from adp_path_follower.analysis.bag_page import write_report
 
     write_report([analysis], [], page)
-    return analysis, True
+    return analysis

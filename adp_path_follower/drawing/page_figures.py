@@ -45,16 +45,10 @@ def page_figures(runs: Sequence[ShownRun]) -> dict[str, Any]:
 
 def motions(runs: Sequence[ShownRun]) -> list[dict[str, Any]]:
     """Return where each robot and its virtual target were, and the optimum beside a single one."""
-    found = [
-        _motion(
-            run.name,
-            color(index),
-            run.charts.track.moving_time,
-            run.charts.track.robot,
-            run.charts.track.target,
-        )
-        for index, run in enumerate(runs)
-    ]
+    found = []
+    for index, run in enumerate(runs):
+        track = run.charts.track
+        found.append(_motion(run.name, color(index), track.moving_time, track.robot, track.target))
     optimum = runs[0].charts.optimum if len(runs) == 1 else None
     if optimum is not None:
         nowhere = np.full((len(optimum), 2), np.nan)

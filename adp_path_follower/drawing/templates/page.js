@@ -94,8 +94,6 @@
     element,
     key: element.dataset.figure,
     ...data.figures[element.dataset.figure],
-    visible: false,
-    stale: false,
   }));
   const overTime = figures.filter((figure) => figure.over_time);
   const shapes = (figure) => {
@@ -138,15 +136,11 @@
       layout.hoversubplots = "axis";
     }
     if (figure.key === "track" && small) {
-      for (const trace of figure.data) {
-        if (trace.marker && trace.marker.colorbar) {
-          trace.marker.colorbar = {
-            ...trace.marker.colorbar,
-            title: { text: "|cross-track| [mm]", side: "top" }, orientation: "h", y: -0.22, yanchor: "top",
-            thickness: 10, len: 0.85,
-          };
-          layout.margin.b = 104;
-        }
+      for (const { marker } of figure.data) {
+        if (!marker?.colorbar) continue;
+        Object.assign(marker.colorbar, { orientation: "h", y: -0.22, yanchor: "top", thickness: 10, len: 0.85 });
+        marker.colorbar.title.side = "top";
+        layout.margin.b = 104;
       }
     }
     return layout;

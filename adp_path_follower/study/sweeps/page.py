@@ -141,7 +141,7 @@ def _heat_map(name: str, score: FloatArray, first: _Axis, second: _Axis) -> go.F
         go.Heatmap(
             x=first.labels,
             y=second.labels,
-            z=_nones(median),
+            z=median.tolist(),
             customdata=text,
             colorscale="Viridis",
             reversescale=True,
@@ -172,7 +172,7 @@ def _curve(name: str, score: FloatArray, axis: _Axis) -> go.Figure:
     figure = go.Figure()
     figure.add_scatter(
         x=axis.labels,
-        y=_nones(medians),
+        y=medians.tolist(),
         mode="lines+markers",
         line={"color": COLORS[0]},
         hovertemplate="%{x}: %{y:.5g}<extra></extra>",
@@ -188,18 +188,14 @@ def _pareto(found: Results) -> go.Figure:
     names = found.request.objectives[:2]
     spread = np.linspace(0, len(found.stable) - 1, min(len(found.stable), _MOST_POINTS)).astype(int)
     figure = go.Figure()
+    some = [found.stable[place] for place in spread]
     for trials, name, mode, color in (
-        (
-            [found.stable[place] for place in spread],
-            "settings",
-            "markers",
-            "rgba(128,128,128,0.55)",
-        ),
+        (some, "settings", "markers", "rgba(128,128,128,0.55)"),
         (found.front, "Pareto front", "lines+markers", COLORS[1]),
     ):
         figure.add_scatter(
-            x=_nones(_objective(trials, names[0])),
-            y=_nones(_objective(trials, names[1])),
+            x=_objective(trials, names[0]).tolist(),
+            y=_objective(trials, names[1]).tolist(),
             mode=mode,
             name=name,
             line={"color": color, "shape": "hv"},
@@ -222,10 +218,3 @@ def _described(found: Results, trial: FrozenTrial) -> str:
 def _title(name: str) -> str:
     unit = OBJECTIVES[name].unit if name in OBJECTIVES else ""
     return f"{name} [{unit}]" if unit else name
-
-
-def _nones(values: np.ndarray) -> list[Any]:
-    """Return numbers for JSON, None for those that are not finite."""
-    if values.ndim > 1:
-        return [_nones(row) for row in values]
-    return [float(value) if math.isfinite(value) else None for value in values]
