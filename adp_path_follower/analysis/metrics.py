@@ -166,10 +166,11 @@ def _settling_time(drive: Drive) -> float:
     if not chosen.any():
         return math.nan
     order = np.argsort(recorded.time[chosen], kind="stable")
-    settled = is_settled(recorded.values[chosen][order])
+    time, settled = recorded.time[chosen][order], is_settled(recorded.values[chosen][order])
     if settled.all():  # there was nothing to settle
         return math.nan
-    taken = time_to_stay(recorded.time[chosen][order], settled)
+    # Since the robot was told to move: the first error may be told of a little later.
+    taken = float(time[0]) + time_to_stay(time, settled)
     return taken if math.isfinite(taken) else math.nan
 
 

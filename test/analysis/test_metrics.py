@@ -148,6 +148,14 @@ def test_the_learners_numbers_and_states(tmp_path):
     assert found.metrics["bellman_error_rms"] == pytest.approx(
         0.1 * math.sqrt((1.0 - math.exp(-24.0)) / 24.0), rel=0.02
     )
+
+
+def test_settling_counts_from_the_first_command_even_if_the_first_errors_are_missing(tmp_path):
+    run = learner_run()
+    errors = [item for item in run if "tracking_error" in item[0]]
+    late = [item for item in run if item not in errors[:25]]  # those of half a second
+    found = analysed(tmp_path, late)
+    assert found.metrics["settling_time"] == pytest.approx(math.log(4.0), abs=0.021)
     assert found.states == {
         "waiting": pytest.approx(2.0),
         "following": pytest.approx(6.0 + 4.0),
