@@ -50,11 +50,12 @@ class PlantSettings:
     max_angular_accel: float = setting(
         math.inf, "Highest possible angular acceleration.", unit="rad/s^2", low=POSITIVE
     )
-    command_ramp: float = setting(
-        math.inf,
-        "Highest change of the commanded linear velocity that the firmware lets through.",
-        unit="m/s^2",
+    command_ramps: tuple[float, ...] = setting(
+        (math.inf, math.inf),
+        "Highest changes of the commanded velocities that the firmware lets through.",
+        unit="m/s^2, rad/s^2",
         low=POSITIVE,
+        lengths=(2,),
     )
     velocity_lag: float = setting(
         0.0,
@@ -173,7 +174,8 @@ class PlantSettings:
             delay=self.command_delay,
             linear_lag=self.velocity_lag,
             angular_lag=self.velocity_lag if self.angular_lag < 0.0 else self.angular_lag,
-            ramp=self.command_ramp,
+            ramp=self.command_ramps[0],
+            angular_ramp=self.command_ramps[1],
             linear_gain=self.gains[0],
             angular_gain=self.gains[1],
             bias=self.bias,

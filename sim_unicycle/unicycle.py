@@ -25,7 +25,7 @@ class Unicycle:
         self.pose = np.array(pose, dtype=float)  # true
         self.twist = np.zeros((*self.pose.shape[:-1], 2))  # true, over the last step
         self.plant = plant  # may be exchanged between two steps, but for the seed
-        self._velocity = self._set = self.twist  # of the wheels, and by the firmware's ramp
+        self._velocity = self._set = self.twist  # of the wheels, and by the firmware's ramps
         self._time = 0.0
         self._pending: deque[tuple[float, FloatArray]] = deque()
         self._effective = self.twist
@@ -47,9 +47,9 @@ class Unicycle:
             return
         plant = self.plant
         wanted = within_limits(self._delayed(np.asarray(command, dtype=float)), plant)
-        if math.isfinite(plant.command_ramp):
-            limits = np.array([plant.command_ramp, math.inf])
-            wanted, self._set = drive(self._set, wanted, dt, np.zeros(2), limits)
+        if min(plant.command_ramps) < math.inf:
+            ramps = np.array(plant.command_ramps)
+            wanted, self._set = drive(self._set, wanted, dt, np.zeros(2), ramps)
         model = plant.model
         limits = np.array([plant.max_linear_accel, plant.max_angular_accel])
         limits[0] = min(limits[0], plant.friction * _GRAVITY)

@@ -106,7 +106,7 @@ class Case:
                 "robot_model": "given",
                 "actuation_delay": robot.delay,
                 "robot_lags": (robot.lag + servo, robot.lag + servo),
-                "robot_ramp": robot.ramp,
+                "robot_ramps": robot.ramps,
                 "robot_gains": (gain, turn_gain),
                 "robot_bias": bias,
             },

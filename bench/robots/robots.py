@@ -64,6 +64,11 @@ class Robot:
         mean, track = 0.5 * (left + right), self.track * (1.0 + self.track_error)
         return mean, mean * self.track / track, (right - left) / track
 
+    @property
+    def ramps(self) -> tuple[float, float]:
+        """Return how fast v, and w at constant v, change by the wheels' ramp [m/s^2, rad/s^2]."""
+        return self.ramp, 2.0 * self.ramp / self.track
+
 
 TYPICAL = Robot(
     radius_error=-0.02,

@@ -248,7 +248,7 @@ def test_controllers_of_any_rate_see_the_same_noise():
             return made[0]
 
         simulate(
-            build(Settings, {}),
+            build(Settings, {"robot_model": "ideal"}),
             circle(1.0),
             np.zeros((3, 3)),
             duration=1.0,

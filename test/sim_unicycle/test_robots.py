@@ -28,7 +28,7 @@ REAL = PlantSettings(
     command_delay=0.06,
     velocity_lag=0.1,
     angular_lag=0.2,
-    command_ramp=2.5,
+    command_ramps=(2.5, 9.0),
     gains=(0.97, 0.92),
     bias=0.03,
 )
@@ -46,7 +46,7 @@ def commands(count):
 
 def test_the_robot_is_the_one_of_the_cores_model():
     robot, history = Unicycle(np.zeros(3), REAL), CommandHistory()
-    history.ramp = REAL.command_ramp
+    history.ramps = REAL.command_ramps
     for step, command in enumerate(commands(400)):
         history.send(step * DT, tuple(command))
         robot.step(command, DT)

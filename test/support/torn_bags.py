@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.writer import BagWriter
-from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.geometry import yaw_of_quaternion
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous
@@ -99,7 +99,8 @@ def write_run(
     )
     points = lissajous().points(0.5)[:60, :2]
     path = Path.from_points(points)
-    follower = PathFollower(settings, path, 0.0)
+    driver = Driver(settings)
+    driver.follow(path)
     writer = BagWriter(directory, {"host": "here"})
     kinds = {
         "/path": "nav_msgs/msg/Path",
@@ -121,7 +122,7 @@ def write_run(
     write("/path", 0, _header(0), poses)
     lines = [f"  {name}: {yaml_text(value)}" for name, value in flatten(settings).items()]
     write("/path_follower/configuration", 0, "settings:\n" + "\n".join(lines) + "\n")
-    pose = np.array([-0.1, -0.1, 0.7])
+    pose, (v, w) = np.array([-0.1, -0.1, 0.7]), (0.0, 0.0)
     for step in range(steps):
         stamp = (step + 1) * _PERIOD
         # The heading as it comes out of the message, so that a replay is the same to the last bit:
@@ -133,9 +134,9 @@ def write_run(
         write(
             *("/odom", stamp, _header(stamp), "base_link"),
             make("geometry_msgs/msg/PoseWithCovariance", _pose(*pose), covariance),
-            make("geometry_msgs/msg/TwistWithCovariance", _twist(0.0, 0.0), covariance),
+            make("geometry_msgs/msg/TwistWithCovariance", _twist(v, w), covariance),
         )
-        v, w = (float(value) for value in follower.step_at(pose, stamp).command)
+        v, w = driver.step(pose, stamp, np.array([v, w, 0.0])).command.tolist()
         write("/cmd_vel", stamp + 1, _header(stamp), _twist(v, w))
         write("/path_follower/cost", stamp + 2, 0.1 * (step + 1))
         for topic, fields in _learner_fields(stamp, pose, step) if learner else ():

@@ -1,7 +1,7 @@
 """The robot of some bags: its parameters with intervals, and those that the drive did not tell."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 from scipy.stats import chi2
 
+from adp_path_follower.analysis.identification.estimate import Estimate
 from adp_path_follower.analysis.identification.gains import fit_gains
 from adp_path_follower.analysis.identification.recording import Recording
 from adp_path_follower.analysis.identification.response import fit_response, modelled
@@ -70,7 +71,7 @@ class Identification:
         """Return parameter files of a controller that is given the model, and of a simulator."""
         model = self.model
         simulated = {
-            "command_ramp": model.ramp,
+            "command_ramps": model.ramps,
             "command_delay": model.delay,
             "velocity_lag": model.linear_lag,
             "angular_lag": model.angular_lag,
@@ -112,16 +113,14 @@ def identify(recordings: Sequence[Recording]) -> Identification:
     )
     parts = [_named(name, value, room) for name, value, room in found]
     told = {item.name: item.value for item in parts if not item.drive}
-    slow, room = float(response.values.values[3]), float(response.values.room[3])
-    ramped = slow > max(1.5 * room, 0.02) and "linear lag" in told
-    if ramped:
-        ramp = Parameter("ramp", "m/s²", 1.0 / slow, 1.0 / (slow + room), 1.0 / (slow - room))
-        parts.insert(3, ramp)
+    ramps = _ramps(response.values, told)
+    parts[3:3] = ramps.values()
     model = RobotModel(
         delay=told.get("delay", 0.0),
         linear_lag=told.get("linear lag", 0.0),
         angular_lag=told.get("angular lag", 0.0),
-        ramp=1.0 / slow if ramped else math.inf,
+        ramp=ramps["linear"].value if "linear" in ramps else math.inf,
+        angular_ramp=ramps["angular"].value if "angular" in ramps else math.inf,
         linear_gain=told.get("k_v", 1.0),
         angular_gain=told.get("k_w", 1.0),
         bias=told.get("bias", 0.0),
@@ -151,6 +150,18 @@ def identify(recordings: Sequence[Recording]) -> Identification:
         tuple((item.time, item.encoders, modelled(item, model)) for item in recordings),
         tuple(dict.fromkeys(notes)),
     )
+
+
+def _ramps(fitted: Estimate, told: Iterable[str]) -> dict[str, Parameter]:
+    """Return the ramps of the firmware that a drive tells, by the part of the motion."""
+    found = {}
+    parts = {"linear": ("m/s²", 0.02), "angular": ("rad/s²", 0.01)}  # and what is no ramp
+    sizes = zip(parts.items(), fitted.values[3:].tolist(), fitted.room[3:].tolist(), strict=True)
+    for (part, (unit, least)), slow, room in sizes:
+        if slow > max(1.5 * room, least) and f"{part} lag" in told:
+            edges = 1.0 / slow, 1.0 / (slow + room), 1.0 / (slow - room)
+            found[part] = Parameter(f"{part} ramp", unit, *edges)
+    return found
 
 
 def _named(name: str, value: float, room: float) -> Parameter:

@@ -1,6 +1,6 @@
-"""How encoders answer commands: delay, lags and ramp, fitted jointly.
+"""How encoders answer commands: delay, lags and ramps, fitted jointly.
 
-Each model filters the commands by the firmware's ramp and the wheels' lags, and is compared with
+Each model filters the commands by the firmware's ramps and the wheels' lags, and is compared with
 the encoders' velocities at their stamps.
 """
 
@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -21,10 +22,10 @@ from adp_path_follower.core.robot.model import RobotModel
 _CELL = 0.005  # [s] between two values of a filtered command
 _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55)  # [s]
 _LAGS = (0.0, 0.06, 0.15, 0.35)  # [s]
-_SLOWNESS = (0.0, 0.08, 0.4, 1.2)  # of the ramp [s^2/m]
-_HIGHEST = np.array([1.0, 1.0, 1.0, 3.0])  # of delay, lags and slowness
-_STEPS = np.array([0.01, 0.01, 0.01, 0.03])  # over which the errors' slopes are taken
-_UNKNOWN = np.array([0.3, 0.3, 0.3, 1.0])  # standard deviations of what no drive has told
+_SLOWNESS = (0.0, 0.08, 0.4, 1.2), (0.0, 0.03, 0.1, 0.3)  # of the ramps [s^2/m, s^2/rad]
+_HIGHEST = np.array([1.0, 1.0, 1.0, 3.0, 1.0])  # of delay, lags and slownesses
+_STEPS = np.array([0.01, 0.01, 0.01, 0.03, 0.01])  # over which the errors' slopes are taken
+_UNKNOWN = np.array([0.3, 0.3, 0.3, 1.0, 0.5])  # standard deviations of what no drive has told
 _MOVING = 0.05  # [m/s, rad/s]
 _RUN_IN = 2.0  # [s] after which it does not matter how a drive began
 _OUTLIER = 5.0  # standard deviations
@@ -37,7 +38,8 @@ _BLOCK = 1.0  # [s] whose errors hang together
 class Fit:
     """The fitted response, with the encoders' noise."""
 
-    values: Estimate  # delay, linear lag, angular lag [s], slowness of the ramp [s^2/m]
+    # Delay, linear lag, angular lag [s], slownesses of the ramps [s^2/m, s^2/rad].
+    values: Estimate
     noise: FloatArray  # standard deviations of the encoders' v and w, shape (2,)
     explained: FloatArray  # share of the motion of v and of w that the model explains, shape (2,)
 
@@ -55,13 +57,13 @@ class _Filter:
         times = np.append(recording.sent, max(self._edges[-1], recording.sent[-1]))
         so_far = [np.interp(self._edges, times, column) for column in sums.T]
         self._mean = np.diff(so_far, axis=1) / _CELL  # of v and w in each cell, (2, G)
-        self._ramps: dict[float, FloatArray] = {0.0: self._mean[0]}
+        self._ramped_last = [(0.0, mean) for mean in self._mean]  # by which slowness
         begun = np.abs(recording.encoders[0]).max() > _MOVING
         self.used = recording.time >= recording.time[0] + _RUN_IN * begun
 
-    def answered(self, part: int, lag: float, slowness: float = 0.0) -> FloatArray:
+    def answered(self, part: int, lag: float, slowness: float) -> FloatArray:
         """Return v or w of wheels without delay at the edges of the cells, shape (G + 1,)."""
-        wanted = self._ramped(slowness) if part == 0 else self._mean[1]
+        wanted = self._ramped(part, slowness)
         fade = math.exp(-_CELL / lag) if lag > 1e-6 else 0.0
         return np.append(wanted[0], lfilter([1.0 - fade], [1.0, -fade], wanted))
 
@@ -70,27 +72,28 @@ class _Filter:
         return np.interp(self._recording.time - delay, self._edges, answered)
 
     def model(self, values: FloatArray) -> FloatArray:
-        """Return v, w at the stamps by delay, lags and slowness, shape (N, 2)."""
-        delay, lag_v, lag_w, slowness = values.tolist()
-        answers = self.answered(0, lag_v, slowness), self.answered(1, lag_w)
+        """Return v, w at the stamps by delay, lags and slownesses, shape (N, 2)."""
+        delay, lag_v, lag_w, slow_v, slow_w = values.tolist()
+        answers = self.answered(0, lag_v, slow_v), self.answered(1, lag_w, slow_w)
         return np.column_stack([self.at(answer, delay) for answer in answers])
 
-    def _ramped(self, slowness: float) -> FloatArray:
+    def _ramped(self, part: int, slowness: float) -> FloatArray:
         if slowness < 1e-3:
-            return self._mean[0]
-        if slowness not in self._ramps:
+            return np.asarray(self._mean[part])
+        if slowness != self._ramped_last[part][0]:
             most, now, found = _CELL / slowness, 0.0, []
-            for wanted in self._mean[0].tolist():
+            for wanted in self._mean[part].tolist():
                 now += min(max(wanted - now, -most), most)
                 found.append(now)
-            self._ramps = {slowness: np.array(found)}
-        return self._ramps[slowness]
+            self._ramped_last[part] = slowness, np.array(found)
+        return self._ramped_last[part][1]
 
 
 def modelled(recording: Recording, model: RobotModel) -> FloatArray:
     """Return the encoders' v, w that a model expects of a recording, shape (N, 2)."""
-    lags = model.linear_lag, model.angular_lag
-    return _Filter(recording).model(np.array([model.delay, *lags, 1.0 / model.ramp]))
+    slowness = (1.0 / ramp for ramp in model.ramps)
+    values = np.array([model.delay, model.linear_lag, model.angular_lag, *slowness])
+    return _Filter(recording).model(values)
 
 
 def fit_response(recordings: Sequence[Recording]) -> Fit:
@@ -113,9 +116,7 @@ def fit_response(recordings: Sequence[Recording]) -> Fit:
         return np.asarray((errors(values)[used] / scale).ravel())
 
     scale = np.maximum(np.std(measured, axis=0), _LEAST)
-    grid = itertools.product(_DELAYS, _LAGS, _SLOWNESS)
-    starts = [np.array([delay, lag, lag, slow]) for delay, lag, slow in grid]
-    found = min(starts, key=lambda values: float(np.sum(scaled(values) ** 2)))
+    found = _start(filters, measured, used, scale)
     for _ in range(2):  # the second time without outliers, and with the scale of the errors
         found = _refined(scaled, found)
         scale = np.maximum(np.std(errors(found)[used], axis=0), _LEAST)
@@ -127,13 +128,32 @@ def fit_response(recordings: Sequence[Recording]) -> Fit:
     noise = np.sqrt(0.5 * np.mean(np.diff(error[used], axis=0) ** 2, axis=0))
     spread = np.maximum(np.mean(measured[used] ** 2, axis=0), 1e-12)
     explained = 1.0 - np.mean(error[used] ** 2, axis=0) / spread
-    room = np.hypot(values.room, np.array([1.0, 1.0, 1.0, 0.0]) * _SAMPLING)
+    room = np.hypot(values.room, np.array([1.0, 1.0, 1.0, 0.0, 0.0]) * _SAMPLING)
     return Fit(Estimate(found, room), noise, explained)
+
+
+def _start(
+    filters: Sequence[_Filter], measured: FloatArray, used: NDArray[np.bool_], scale: FloatArray
+) -> FloatArray:
+    """Return the values of a coarse grid that explain velocities (N, 2) best."""
+    misfits: dict[tuple[float, int], list[tuple[float, float, float]]] = {}
+    for part, slownesses in enumerate(_SLOWNESS):
+        for slow, lag in itertools.product(slownesses, _LAGS):
+            answers = [item.answered(part, lag, slow) for item in filters]
+            for delay in _DELAYS:
+                pairs = zip(filters, answers, strict=True)
+                expected = np.concatenate([item.at(answer, delay) for item, answer in pairs])
+                error = (expected - measured[:, part])[used] / scale[part]
+                misfits.setdefault((delay, part), []).append((float(error @ error), lag, slow))
+    best = {delay: [min(misfits[delay, part]) for part in (0, 1)] for delay in _DELAYS}
+    delay = min(best, key=lambda delay: best[delay][0][0] + best[delay][1][0])
+    (_, lag_v, slow_v), (_, lag_w, slow_w) = best[delay]
+    return np.array([delay, lag_v, lag_w, slow_v, slow_w])
 
 
 def _refined(errors: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
     """Return the values within their bounds that have the least errors."""
-    bounds = np.zeros(4), _HIGHEST
+    bounds = np.zeros(5), _HIGHEST
     found = least_squares(
         errors, start, lambda values: _slopes(errors, values), bounds=bounds, x_scale=_STEPS
     )
@@ -141,7 +161,7 @@ def _refined(errors: Callable[[FloatArray], FloatArray], start: FloatArray) -> F
 
 
 def _slopes(errors: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
-    """Return the changes of errors (N,) with the values, shape (N, 4)."""
+    """Return the changes of errors (N,) with the values, shape (N, 5)."""
     found = []
     for step in np.diag(_STEPS):
         low, high = np.maximum(values - step, 0.0), values + step

@@ -14,13 +14,16 @@ _PANELS = {
     "gains": ("k_v", "k_w"),
     "bias [rad/m]": ("bias [rad/m]",),
 }
+_RAMPS = ("ramp [m/s^2]", "angular ramp [rad/s^2]")
 
 
 def robot_panels(drive: Drive, buckets: int) -> dict[str, tuple[Panel, ...]]:
     """Return the parameters over time, and measured beside modelled velocities, where recorded."""
     told = drive.learner.get("robot_model")
     names = [name for shown in _PANELS.values() for name in shown]
-    if told is None or not {*names, "ramp [m/s^2]"} <= {*told.labels} or not len(told.time):
+    if told is None or not {*names, *_RAMPS} <= {*told.labels} or not len(told.time):
+        return {}
+    if told.values.shape[1] != len(told.labels):
         return {}
     columns = dict(zip(told.labels, told.values.T, strict=True))
 
@@ -35,7 +38,8 @@ def robot_panels(drive: Drive, buckets: int) -> dict[str, tuple[Panel, ...]]:
         delay=last["delay [s]"],
         linear_lag=last["linear lag [s]"],
         angular_lag=last["angular lag [s]"],
-        ramp=last["ramp [m/s^2]"],
+        ramp=last[_RAMPS[0]],
+        angular_ramp=last[_RAMPS[1]],
     )
     time, values = drive.odometry.time, drive.odometry.values
     found = {

@@ -12,7 +12,7 @@ import math
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -181,7 +181,7 @@ def _checked_robot(values: Any) -> tuple[float, ...]:
     if values == []:
         return ()
     numbers = isinstance(values, list) and all(isinstance(value, float) for value in values)
-    if not numbers or len(values) != 7 or not RobotModel(*values).possible:
+    if not numbers or len(values) != len(fields(RobotModel)) or not RobotModel(*values).possible:
         raise _DamageError("as its robot is none")
     return tuple(values)
 

@@ -9,6 +9,9 @@ _MEMORY = 2.5  # [s]
 _FINE = 0.01  # [s] of a ramp in one piece
 _MOST = 512  # commands, above which those older than the memory are forgotten
 
+# A command, and the velocities set until then.
+_Sent = tuple[tuple[float, float], tuple[float, float]]
+
 
 class CommandHistory:
     """Remembers commands [m/s, rad/s] and their times; before the first, the robot rests."""
@@ -16,18 +19,18 @@ class CommandHistory:
     def __init__(self) -> None:
         """Begin with a robot at rest."""
         self.last = (0.0, 0.0)
-        self.ramp = math.inf  # of the linear velocity, by the firmware [m/s^2]
+        self.ramps = (math.inf, math.inf)  # of v and w, by the firmware [m/s^2, rad/s^2]
         self._times: list[float] = []
-        self._sent: list[tuple[float, float, float]] = []  # and the velocity set until then
+        self._sent: list[_Sent] = []
 
     def send(self, time: float, command: tuple[float, float]) -> None:
         """Note a command that is sent at a time [s], no earlier than the last one."""
-        reached = 0.0
+        reached = (0.0, 0.0)
         if self._times:
-            reached = _ramped(self._sent[-1], time - self._times[-1], self.ramp)
+            reached = self._reached(len(self._times) - 1, time)
         self.last = command
         self._times.append(time)
-        self._sent.append((*command, reached))
+        self._sent.append((command, reached))
         if len(self._times) > _MOST:
             old = bisect_right(self._times, time - _MEMORY) - 1
             if old > 0:
@@ -60,19 +63,26 @@ class CommandHistory:
 
     def _act(self, found: list[Held], index: int, start: float, stop: float) -> None:
         """Add the pieces of one command from one time to another."""
-        sent, (v, w, _) = self._times[index], self._sent[index]
-        before = _ramped(self._sent[index], start - sent, self.ramp)
-        while start < stop and before != v and self.ramp < math.inf:
+        command, before = self._sent[index][0], self._reached(index, start)
+        while start < stop and before != command:
             until = min(stop, start + _FINE)
-            after = _ramped(self._sent[index], until - sent, self.ramp)
-            found.append((0.5 * (before + after), w, until - start))
+            after = self._reached(index, until)
+            v, w = 0.5 * (before[0] + after[0]), 0.5 * (before[1] + after[1])
+            found.append((v, w, until - start))
             start, before = until, after
         if start < stop:
-            found.append((v, w, stop - start))
+            found.append((*command, stop - start))
+
+    def _reached(self, index: int, time: float) -> tuple[float, float]:
+        """Return the velocities that one command has set at a time [s]."""
+        (v, w), (from_v, from_w) = self._sent[index]
+        elapsed, (ramp, angular_ramp) = time - self._times[index], self.ramps
+        return _ramped(v, from_v, elapsed, ramp), _ramped(w, from_w, elapsed, angular_ramp)
 
 
-def _ramped(sent: tuple[float, float, float], elapsed: float, ramp: float) -> float:
+def _ramped(wanted: float, before: float, elapsed: float, ramp: float) -> float:
     """Return the velocity that is set some time [s] after a command was sent."""
-    wanted, _, before = sent
+    if ramp == math.inf:
+        return wanted
     most = ramp * elapsed if elapsed > 0.0 else 0.0
     return before + min(max(wanted - before, -most), most)

@@ -1,7 +1,7 @@
 """How a robot answers its commands: delay, lag, ramp, gains and bias.
 
 A command [v_c, w_c] sent at t acts from t + delay on. The firmware limits the change of v_c to a
-ramp. The wheels, whose v and w the encoders tell, and the robot follow:
+ramp, and that of w_c to another. The wheels, whose v and w the encoders tell, and the robot follow:
 
     v' = (v_c - v) / lag_v,    w' = (w_c - w) / lag_w,
     V = k_v v,    W = k_w w + b v,    x' = V cos(theta),    y' = V sin(theta),    theta' = W,
@@ -30,6 +30,12 @@ class RobotModel:
     linear_gain: float = 1.0  # k_v, true velocity by the encoders' one
     angular_gain: float = 1.0  # k_w, the same for the turn rate
     bias: float = 0.0  # b, turn rate that comes with the velocity [rad/m]
+    angular_ramp: float = math.inf  # highest rate of change of w_c [rad/s^2]
+
+    @property
+    def ramps(self) -> tuple[float, float]:
+        """Return the highest rates of change of v_c and w_c [m/s^2, rad/s^2]."""
+        return self.ramp, self.angular_ramp
 
     @property
     def ideal(self) -> bool:
@@ -44,7 +50,7 @@ class RobotModel:
         return (
             gains
             and all(0.0 <= time <= 2.0 for time in times)
-            and self.ramp > 0.0
+            and min(self.ramps) > 0.0
             and (abs(self.bias) <= 1.0)
         )
 

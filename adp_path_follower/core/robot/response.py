@@ -1,4 +1,4 @@
-"""Delay, lags and ramp from how the encoders answer the commands: a bank of models.
+"""Delay, lags and ramps from how the encoders answer the commands: a bank of models.
 
 Each member of the bank filters the commands with its own lag and ramp; the encoders' velocity is
 compared with all of them, at each of several delays. The evidence weighs the members of the bank,
@@ -15,11 +15,16 @@ from adp_path_follower.core.robot.model import RobotModel
 
 _DELAYS = np.arange(0.0, 0.42, 0.02)  # [s]
 _LAGS = np.array([0.0, 0.025, 0.05, 0.08, 0.115, 0.155, 0.2, 0.25, 0.31, 0.38, 0.46])  # [s]
-# One over a ramp [s^2/m]: the launch is most of the evidence, and lasts by this.
+# One over a ramp of v [s^2/m]: the launch is most of the evidence, and lasts by this.
 _SLOWNESS = np.array(
     [0, 0.12, 0.19, 0.25, 0.31, 0.37, 0.43, 0.5, 0.58, 0.66, 0.75, 0.86, 1, 1.2, 1.5, 2]
 )
-_RAMPS = np.concatenate([[math.inf], 1.0 / _SLOWNESS[1:]])  # [m/s^2]
+_ANGULAR_SLOWNESS = np.array([0, 0.03, 0.06, 0.1, 0.14, 0.19, 0.25, 0.33, 0.45])  # [s^2/rad]
+_SLOW = (_SLOWNESS, _ANGULAR_SLOWNESS)
+_DOUBT = (0.2, 3.0)  # logarithm of how much likelier no ramp is: every drive has a launch
+_COUNTS = (len(_SLOWNESS), len(_ANGULAR_SLOWNESS))
+with np.errstate(divide="ignore"):
+    _RAMPS = 1.0 / np.concatenate(_SLOW)  # [m/s^2, rad/s^2], infinite for none
 _FINEST, _COARSEST = 0.004, 0.01  # [s] between two states of the members
 _KEPT = 256  # states
 _NOISE = np.array([0.012, 0.025])  # [m/s, rad/s] of encoders and model, at least
@@ -30,7 +35,8 @@ _CALM = 0.3  # [s] after which it is over
 _MOVING = 0.05  # [m/s, rad/s]: slower ones tell nothing
 _KEEPS = 0.98  # share of an agreement after one more message
 _AGREE = -0.3  # share of the usual velocity, below which encoders and commands disagree
-_USUAL = (5, 4 * len(_RAMPS), len(_LAGS) * len(_RAMPS) + 4)  # delay and members of a usual robot
+_LINEAR = len(_LAGS) * _COUNTS[0]  # members of the bank for v; those for w follow
+_USUAL = (5, 4 * _COUNTS[0], _LINEAR + 4 * _COUNTS[1])  # delay and members of a usual robot
 _MEMORY = 40.0  # [s] of excited driving
 _SIGNIFICANT = 8.0  # logarithm of how much likelier than the ideal robot a model must be
 _TOGETHER = 0.08  # [s] by which the lags of v and w may well differ
@@ -38,12 +44,13 @@ _TOGETHER = 0.08  # [s] by which the lags of v and w may well differ
 
 @dataclass(frozen=True)
 class Response:
-    """Delay, lags and ramp, with standard deviations."""
+    """Delay, lags and ramps, with standard deviations."""
 
     delay: float = 0.0  # [s]
     linear_lag: float = 0.0  # [s]
     angular_lag: float = 0.0  # [s]
     ramp: float = math.inf  # [m/s^2]
+    angular_ramp: float = math.inf  # [rad/s^2]
     # Standard deviations of delay and lags [s].
     deviations: tuple[float, float, float] = (0.3, 0.3, 0.3)
 
@@ -53,9 +60,11 @@ class ResponseBank:
 
     def __init__(self, start: RobotModel) -> None:
         """Begin with a robot at rest, no evidence, and what holds without any."""
-        self._start = Response(start.delay, start.linear_lag, start.angular_lag, start.ramp)
-        self._lags = np.concatenate([np.repeat(_LAGS, len(_RAMPS)), _LAGS])
-        self._linear = len(_LAGS) * len(_RAMPS)
+        self._start = Response(start.delay, start.linear_lag, start.angular_lag, *start.ramps)
+        self._lags = np.concatenate([np.repeat(_LAGS, count) for count in _COUNTS])
+        linear, angular = np.split(np.arange(len(_RAMPS)), _COUNTS[:1])
+        count = len(_LAGS)
+        self._ramp_of = np.concatenate([np.tile(linear, count), np.tile(angular, count)])
         self._members = len(self._lags)
         self._agreement = np.full((2, 2), 0.3)
         self._evidence = np.zeros((len(_DELAYS), self._members))
@@ -64,7 +73,7 @@ class ResponseBank:
     def restart(self) -> None:
         """Begin with a robot at rest; evidence stays."""
         self._state = np.zeros(self._members)
-        self._set = np.zeros(len(_RAMPS))  # velocity that each ramp lets through
+        self._set = np.zeros(len(_RAMPS))  # velocities that the ramps let through
         self._times = np.zeros(2 * _KEPT)
         self._states = np.zeros((2 * _KEPT, self._members))
         self._stored = 0
@@ -83,14 +92,12 @@ class ResponseBank:
         pieces = max(1, math.ceil(elapsed / _COARSEST - 1e-6)) if elapsed < 1.0 else 1
         step = elapsed / pieces
         fade = np.exp(-step / np.maximum(self._lags, 1e-9))
-        wanted = np.full(self._members, sent[1])
-        with np.errstate(invalid="ignore"):
-            most = np.where(np.isinf(_RAMPS), math.inf, _RAMPS * step)
+        asked, most = np.repeat(sent, _COUNTS), _RAMPS * step
         for piece in range(pieces):
-            change = np.clip(sent[0] - self._set, -most, most)
-            wanted[: self._linear] = np.tile(self._set + 0.5 * change, len(_LAGS))
-            wanted[: self._linear].reshape(len(_LAGS), -1)[:, 0] = sent[0]
-            self._set = self._set + change
+            before = self._set
+            self._set = np.minimum(np.maximum(asked, before - most), before + most)
+            through = np.where(np.isinf(_RAMPS), asked, 0.5 * (before + self._set))
+            wanted = through[self._ramp_of]
             self._state = wanted + fade * (self._state - wanted)
             self._time = time if piece == pieces - 1 else self._time + step
             if self._time - self._times[self._stored - 1] >= _FINEST:
@@ -119,7 +126,7 @@ class ResponseBank:
         expected = self._states[before] + share * (self._states[after] - self._states[before])
         weight = min(1.0, elapsed / _SPACING)
         self._compare((v, w), (expected[_USUAL[0], _USUAL[1]], expected[_USUAL[0], _USUAL[2]]))
-        linear = self._linear
+        linear = _LINEAR
         error = expected
         error[:, :linear] -= v
         error[:, linear:] -= w
@@ -151,21 +158,21 @@ class ResponseBank:
 
     def response(self) -> Response:
         """Return the weighted mean of the members, or the ideal response if it is as likely."""
-        linear = self._linear
-        score_v = self._evidence[:, :linear].reshape(len(_DELAYS), len(_LAGS), len(_RAMPS))
-        score_w = self._evidence[:, linear:]
-        log_v = -0.5 * score_v / _NOISE[0] ** 2 - 0.2 * (np.arange(len(_RAMPS)) > 0)
-        log_w = -0.5 * score_w / _NOISE[1] ** 2
+        log_v, log_w = (
+            -0.5 * part.reshape(len(_DELAYS), len(_LAGS), -1) / noise**2 - doubt * (slow > 0.0)
+            for part, noise, doubt, slow in zip(
+                np.split(self._evidence, [_LINEAR], axis=1), _NOISE, _DOUBT, _SLOW, strict=True
+            )
+        )
         prior = -(_DELAYS / 0.15)[:, None] - (_LAGS / 0.15)[None, :]
         log_v = log_v + prior[:, :, None]
-        ideal = log_v[0, 0, 0] + log_w[0, 0]
+        ideal = log_v[0, 0, 0] + log_w[0, 0, 0]
         # Each delay by its own scale, lest the likeliest of v and of w have no delay in common.
-        top_v, top_w = log_v.max(axis=(1, 2)), log_w.max(axis=1)
-        p_v = np.exp(log_v - top_v[:, None, None])
-        p_w = np.exp(log_w - top_w[:, None])
+        top_v, top_w = log_v.max(axis=(1, 2)), log_w.max(axis=(1, 2))
+        p_v, p_w = np.exp(log_v - top_v[:, None, None]), np.exp(log_w - top_w[:, None, None])
         kernel = np.exp(-0.5 * ((_LAGS[:, None] - _LAGS[None, :]) / _TOGETHER) ** 2)
-        lags_v = p_v.sum(axis=2)
-        joint = lags_v[:, :, None] * kernel[None] * p_w[:, None, :]  # delay, lag of v, lag of w
+        lags_v, lags_w = p_v.sum(axis=2), p_w.sum(axis=2)
+        joint = lags_v[:, :, None] * kernel[None] * lags_w[:, None, :]  # delay, lag of v, lag of w
         likely = np.log(joint.sum(axis=(1, 2))) + top_v + top_w
         best = likely.max()
         joint *= np.exp(likely - best)[:, None, None] / joint.sum(axis=(1, 2))[:, None, None]
@@ -175,11 +182,17 @@ class ResponseBank:
         delay, delay_spread = _moments(joint.sum(axis=(1, 2)), _DELAYS)
         lag_v, lag_v_spread = _moments(joint.sum(axis=(0, 2)), _LAGS)
         lag_w, lag_w_spread = _moments(joint.sum(axis=(0, 1)), _LAGS)
-        weights = joint.sum(axis=2)[:, :, None] * (p_v / np.maximum(lags_v, 1e-300)[:, :, None])
-        slowness, _ = _moments(weights.sum(axis=(0, 1)), _SLOWNESS)
-        ramp = 1.0 / slowness if slowness > 0.1 else math.inf
+        ramp = _ramp(joint.sum(axis=2), p_v, _SLOWNESS)
+        angular_ramp = _ramp(joint.sum(axis=1), p_w, _ANGULAR_SLOWNESS)
         spreads = (delay_spread, lag_v_spread, lag_w_spread)
-        return Response(delay, lag_v, lag_w, ramp, spreads)
+        return Response(delay, lag_v, lag_w, ramp, angular_ramp, spreads)
+
+
+def _ramp(likely: FloatArray, shares: FloatArray, slowness: FloatArray) -> float:
+    """Return the mean ramp for weights of delays and lags (D, L), and of ramps with each."""
+    weights = likely[:, :, None] * shares / np.maximum(shares.sum(axis=2), 1e-300)[:, :, None]
+    slow, _ = _moments(weights.sum(axis=(0, 1)), slowness)
+    return 1.0 / slow if slow > 0.8 * slowness[1] else math.inf
 
 
 def _moments(weights: FloatArray, values: FloatArray) -> tuple[float, float]:

@@ -31,7 +31,8 @@ def model_of(settings: Settings) -> RobotModel:
         delay=settings.motion.actuation_delay,
         linear_lag=robot.robot_lags[0],
         angular_lag=robot.robot_lags[1],
-        ramp=robot.robot_ramp,
+        ramp=robot.robot_ramps[0],
+        angular_ramp=robot.robot_ramps[1],
         linear_gain=robot.robot_gains[0],
         angular_gain=robot.robot_gains[1],
         bias=robot.robot_bias,
@@ -44,7 +45,7 @@ def settings_of(model: RobotModel) -> dict[str, object]:
         "robot_model": "given",
         "actuation_delay": model.delay,
         "robot_lags": (model.linear_lag, model.angular_lag),
-        "robot_ramp": model.ramp,
+        "robot_ramps": model.ramps,
         "robot_gains": (model.linear_gain, model.angular_gain),
         "robot_bias": model.bias,
     }
@@ -68,7 +69,7 @@ class Robot:
         self._kind = self.settings.robot.robot_model
         self._learns = self._kind == "learned"
         self._history = CommandHistory()
-        self._history.ramp = start.ramp
+        self._history.ramps = start.ramps
         self._estimator = StateEstimator(start, self._learns)
         self._bank = ResponseBank(start)
         self._trial = Trial()
@@ -97,7 +98,7 @@ class Robot:
         self._bank.restart()
         self._trial.restart()
         self._history = CommandHistory()
-        self._history.ramp = self.model.ramp
+        self._history.ramps = self.model.ramps
         self._now = self._review = 0.0
         self._acting = self._reading = None
 
@@ -133,6 +134,7 @@ class Robot:
         return {
             **dict(zip(names, values, strict=True)),
             "ramp [m/s^2]": model.ramp,
+            "angular ramp [rad/s^2]": model.angular_ramp,
             **{f"deviation of {name}": size for name, size in zip(names, spread, strict=True)},
             "explained": self.explained,
         }
@@ -197,11 +199,12 @@ class Robot:
             linear_lag=model.linear_lag + share * (found.linear_lag - model.linear_lag),
             angular_lag=model.angular_lag + share * (found.angular_lag - model.angular_lag),
             ramp=found.ramp,
+            angular_ramp=found.angular_ramp,
         )
         if self._plain and (self._estimator.tells_more or found != self._unknown):
             self._plain = False
         self.model = model if self._plain else self._estimator.with_gains(model)
-        self._history.ramp = found.ramp
+        self._history.ramps = self.model.ramps
 
     def command(self, wanted: FloatArray) -> FloatArray:
         """Return what to send for a motion [V, W] that the controller wants, shape (2,)."""

@@ -38,7 +38,7 @@ class RobotSettings:
     """Robot."""
 
     robot_model: str = setting(
-        "ideal",
+        "learned",
         "The robot that commands are for: an ideal unicycle (with actuation_delay), the one that "
         "the next settings describe, or one that is learned while driving, from them on.",
         choices=ROBOT_MODELS,
@@ -51,11 +51,12 @@ class RobotSettings:
         high=2.0,
         lengths=(2,),
     )
-    robot_ramp: float = setting(
-        math.inf,
-        "Highest linear acceleration that the robot's own firmware lets through.",
-        unit="m/s²",
+    robot_ramps: tuple[float, ...] = setting(
+        (math.inf, math.inf),
+        "Highest linear and angular acceleration that the robot's own firmware lets through.",
+        unit="m/s², rad/s²",
         low=POSITIVE,
+        lengths=(2,),
     )
     robot_gains: tuple[float, ...] = gains_setting("the commanded ones")
     robot_bias: float = bias_setting()

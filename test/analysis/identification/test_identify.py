@@ -61,7 +61,7 @@ def test_a_robot_is_found_from_a_bag_of_nav2(tmp_path):
         "odometry latency": TYPICAL.latency,
         "odometry jitter": TYPICAL.jitter,
     }
-    # Times come in steps of the plant; the ramp is that of each wheel, not of v alone.
+    # Times come in steps of the plant; the ramp is that of each wheel, not of v and of w alone.
     room = {"delay": 0.01, "angular lag": 0.01, "odometry latency": STEP, "odometry jitter": 1e-3}
     room |= {"noise of v": 1e-3, "noise of w": 2e-3, "k_v": 1e-3, "k_w": 2e-3}
     check(numbers, truth, room)
@@ -100,7 +100,11 @@ def test_the_path_for_it_excites_every_parameter(tmp_path):
     truth = {"delay": model.delay, "linear lag": model.linear_lag, "angular lag": model.angular_lag}
     truth |= {"k_v": model.linear_gain, "k_w": model.angular_gain, "bias": model.bias}
     # Encoders report the mean over a step, which is half a step old.
-    check(numbers, {**truth, "ramp": model.ramp}, {"delay": 0.005, "k_w": 5e-3, "ramp": 0.1})
+    check(
+        numbers,
+        {**truth, "linear ramp": model.ramp},
+        {"delay": 0.005, "k_w": 5e-3, "linear ramp": 0.1},
+    )
 
 
 def test_a_straight_drive_does_not_tell_how_the_robot_turns(tmp_path):

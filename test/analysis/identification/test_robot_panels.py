@@ -11,7 +11,13 @@ from driven_robots import BEGIN, driven, slalom
 
 NAMES = ("delay [s]", "linear lag [s]", "angular lag [s]", "k_v", "k_w", "bias [rad/m]")
 LABEL = ", ".join(
-    [*NAMES, "ramp [m/s^2]", *(f"deviation of {name}" for name in NAMES), "explained"]
+    [
+        *NAMES,
+        "ramp [m/s^2]",
+        "angular ramp [rad/s^2]",
+        *(f"deviation of {name}" for name in NAMES),
+        "explained",
+    ]
 )
 
 
@@ -30,7 +36,7 @@ def charts_of_a_bag(folder, told):
 def test_parameters_and_velocities_are_shown_where_they_were_recorded(tmp_path):
     def told(second):
         delay = TYPICAL.delay * (1.0 - 1.0 / second**2)
-        parameters = [delay, TYPICAL.lag, TYPICAL.lag, *TYPICAL.gains, TYPICAL.ramp]
+        parameters = [delay, TYPICAL.lag, TYPICAL.lag, *TYPICAL.gains, *TYPICAL.ramps]
         return [*parameters, *(0.1 / second,) * 6, 0.9]
 
     panels = charts_of_a_bag(tmp_path, told).panels
@@ -52,5 +58,7 @@ def test_parameters_and_velocities_are_shown_where_they_were_recorded(tmp_path):
 
 
 def test_models_of_other_versions_and_damaged_ones_show_nothing(tmp_path):
-    panels = charts_of_a_bag(tmp_path, lambda second: [np.nan] * 14).panels
-    assert "robot_velocity" not in panels
+    damaged = charts_of_a_bag(tmp_path / "damaged", lambda second: [np.nan] * 15).panels
+    assert "robot_velocity" not in damaged
+    other = charts_of_a_bag(tmp_path / "other", lambda second: [0.1] * 14).panels
+    assert not {"robot_model", "robot_velocity"} & set(other)

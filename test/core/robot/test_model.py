@@ -62,10 +62,11 @@ def test_the_history_gives_what_was_in_force():
 
 def test_a_ramp_is_let_through_at_its_rate():
     history = CommandHistory()
-    history.ramp = 2.0
-    history.send(0.0, (1.0, 0.0))
+    history.ramps = (2.0, 5.0)
+    history.send(0.0, (1.0, -1.0))
     held = history.held(0.0, 1.0)
     assert sum(v * dt for v, _, dt in held) == pytest.approx(0.75)  # a ramp of 0.5 s
+    assert sum(w * dt for _, w, dt in held) == pytest.approx(-0.9)
     history.send(0.25, (0.0, 0.0))
     assert sum(v * dt for v, _, dt in history.held(0.0, 1.0)) == pytest.approx(0.125)
 

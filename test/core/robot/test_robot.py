@@ -69,7 +69,7 @@ def test_a_robot_that_is_given_is_driven_as_well():
         "given",
         actuation_delay=TYPICAL.delay,
         robot_lags=[TYPICAL.lag, TYPICAL.lag],
-        robot_ramp=TYPICAL.ramp,
+        robot_ramps=TYPICAL.ramps,
         robot_gains=[gain, turn_gain],
         robot_bias=bias,
     )

@@ -7,6 +7,7 @@ import re
 import signal
 from pathlib import Path as FilePath
 
+import numpy as np
 import pytest
 from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.msg import Transition
@@ -93,9 +94,8 @@ def test_commands_come_at_the_set_rate(peer, start):
     peer.until(lambda: len(drive.commands) > 100, "a hundred commands")
     headers = [command.header for command in drive.commands]
     stamps = [header.stamp.sec + 1e-9 * header.stamp.nanosec for header in headers]
-    mean = (stamps[-1] - stamps[0]) / (len(stamps) - 1)
-    # The timer follows the clock: a late tick is not repeated, so the mean can only be longer.
-    assert mean == pytest.approx(0.02, rel=0.1)
+    # The timer follows the clock: a tick that a busy machine delays is not repeated.
+    assert np.median(np.diff(stamps)) == pytest.approx(0.02, rel=0.1)
 
 
 def test_plain_twist_where_it_is_asked_for(peer, start):
