@@ -11,13 +11,12 @@ The first 21 robots on MuJoCo (mujoco_results.json; a cache that a longer run ma
 | contender | best in J | in RMS | in both | worst J | worst RMS | median RMS [mm] | variation |
 |---|---|---|---|---|---|---|---|
 | default | 43 % | 5 % | 5 % | 2.11 | 9.30 | 42.4 | 0.88 |
-| learned | 95 % | 67 % | 67 % | 1.23 | 2.78 | 5.8 | 0.36 |
+| learned | 100 % | 67 % | 67 % | 0.97 | 2.15 | 6.1 | 0.38 |
 | best peer | | | | | | 10.4 | |
 
 Worst are ratios to the best peer's. The learned robot loses in RMS where noisy odometry tells
 k_w from b too late, and at 0.3 m/s, where the optimum itself is slow to leave the start's
-offset behind. On robot 18 (20 kg, lag 0.29 s, wheels that ramp by 1.1 m/s^2, corners) it is
-worse than the default.
+offset behind.
 """
 
 from __future__ import annotations
