@@ -183,10 +183,12 @@ def _csv_header(line: str) -> dict[str, tuple[int, float]]:
 def read_yaml(file: FilePath) -> object:
     """Return the content of a YAML file; FileError if it is missing, empty or not sound YAML."""
     try:
-        content = parse_yaml(read_text(file))
+        text = read_text(file)
+        content = parse_yaml(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        place = f", line {mark.line + 1}" if mark else ""
+        # libyaml finds the end of a file, where a bracket is still open, a line behind the last.
+        place = f", line {min(mark.line, text.count(chr(10))) + 1}" if mark else ""
         problem = error.problem if isinstance(error, _TwiceError) else "not YAML"
         raise FileError(f"file {file}{place}: {problem}") from None
     if content is None:

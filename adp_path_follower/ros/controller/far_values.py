@@ -49,8 +49,9 @@ class FarValues:
         self._end()
         self._problem = problem
         try:
+            # Ctrl-C in a terminal is for the node, which ends this process.
             process = subprocess.Popen(  # noqa: S603  # our own module
-                _COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+                _COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
             )
         except OSError as error:
             self._warn(f"its process cannot be started ({error})")

@@ -154,6 +154,7 @@ def compare(
         raise AdpError("starts must be finite values s, y, theta, three for each start")
     for item in chosen:  # what cannot run is said before the long work
         item.factory(item.settings, path, np.full(1, start_arc_length))
+    solver = OptimumSolver(settings, path, start_arc_length, duration)
     parts = len(chosen) + 1
     ways = Ways(len(starts))
     outcomes = []
@@ -179,7 +180,6 @@ def compare(
         outcomes.append(found)
     ideal = plant is None or plant.ideal
     costs = np.array([found.cost for found in outcomes]) if ideal else np.zeros((0, len(starts)))
-    solver = OptimumSolver(settings, path, start_arc_length, duration)
     optima, problems = _optima(
         *(solver, starts, ways, costs),
         lambda part: progress((len(chosen) + part) / parts),
