@@ -25,6 +25,7 @@ _DOUBT = (0.2, 3.0)  # logarithm of how much likelier no ramp is: every drive ha
 _COUNTS = (len(_SLOWNESS), len(_ANGULAR_SLOWNESS))
 with np.errstate(divide="ignore"):
     _RAMPS = 1.0 / np.concatenate(_SLOW)  # [m/s^2, rad/s^2], infinite for none
+_FREE = np.isinf(_RAMPS)
 _FINEST, _COARSEST = 0.004, 0.01  # [s] between two states of the members
 _KEPT = 256  # states
 _NOISE = np.array([0.012, 0.025])  # [m/s, rad/s] of encoders and model, at least
@@ -37,6 +38,8 @@ _KEEPS = 0.98  # share of an agreement after one more message
 _AGREE = -0.3  # share of the usual velocity, below which encoders and commands disagree
 _LINEAR = len(_LAGS) * _COUNTS[0]  # members of the bank for v; those for w follow
 _USUAL = (5, 4 * _COUNTS[0], _LINEAR + 4 * _COUNTS[1])  # delay and members of a usual robot
+_ANSWER = 0.2  # share of the commanded motion, with which the robot has begun to answer, ...
+_PATIENCE = 1.5  # [s] after which one that has not does not answer at all
 _MEMORY = 40.0  # [s] of excited driving
 _SIGNIFICANT = 8.0  # logarithm of how much likelier than the ideal robot a model must be
 _TOGETHER = 0.08  # [s] by which the lags of v and w may well differ
@@ -79,6 +82,9 @@ class ResponseBank:
         self._stored = 0
         self._time: float | None = None
         self._stamp = self._transient = -math.inf
+        self.unanswered = False  # whether the robot rests while it is told to move, ...
+        self.held = False  # for so long that it is held
+        self._answer: tuple[float, FloatArray] | None = None  # the last, and the evidence then
         self._command = (0.0, 0.0)
 
     def advance(self, time: float, command: tuple[float, float]) -> None:
@@ -96,7 +102,7 @@ class ResponseBank:
         for piece in range(pieces):
             before = self._set
             self._set = np.minimum(np.maximum(asked, before - most), before + most)
-            through = np.where(np.isinf(_RAMPS), asked, 0.5 * (before + self._set))
+            through = np.where(_FREE, asked, 0.5 * (before + self._set))
             wanted = through[self._ramp_of]
             self._state = wanted + fade * (self._state - wanted)
             self._time = time if piece == pieces - 1 else self._time + step
@@ -126,6 +132,9 @@ class ResponseBank:
         expected = self._states[before] + share * (self._states[after] - self._states[before])
         weight = min(1.0, elapsed / _SPACING)
         self._compare((v, w), (expected[_USUAL[0], _USUAL[1]], expected[_USUAL[0], _USUAL[2]]))
+        self._see_if_held(stamp, v, w)
+        if self.held:
+            return
         linear = _LINEAR
         error = expected
         error[:, :linear] -= v
@@ -143,6 +152,17 @@ class ResponseBank:
         if stamp - self._transient < _CALM:
             error[:, linear:] = 0.0
         self._evidence += weight * error
+
+    def _see_if_held(self, stamp: float, v: float, w: float) -> None:
+        """See if the robot does not answer at all; undo what its rest seemed to tell until then."""
+        wanted_v, wanted_w = self._command
+        wanted = wanted_v**2 + wanted_w**2
+        self.unanswered = v * wanted_v + w * wanted_w < _ANSWER * wanted
+        if not self.unanswered or self._answer is None:
+            self._answer = stamp, self._evidence.copy()
+        self.held = stamp - self._answer[0] > _PATIENCE
+        if self.held:
+            self._evidence[:] = self._answer[1]
 
     def _compare(self, found: tuple[float, float], expected: tuple[float, float]) -> None:
         """Add up how far the encoders go with what a usual robot would do."""

@@ -163,7 +163,7 @@ class Robot:
             self._period = min(elapsed, _LONGEST_PERIOD)
         self._take(pose.tolist(), *motion.tolist())
         self._settle(elapsed)
-        if self._plain or self.problem:
+        if self._plain or self.problem or self._bank.held:
             return pose, time
         model, known = self.model, self._estimator.stamp
         assert known is not None  # it has just taken in a message
@@ -185,7 +185,9 @@ class Robot:
         stamp = self._now - age
         self._reading = (stamp, v, w)
         estimator = self._estimator
-        if estimator.observe(stamp, place, (v, w), self.model, self._history):
+        if self._bank.held:  # the model would have it move
+            estimator.forget_state()
+        elif estimator.observe(stamp, place, (v, w), self.model, self._history):
             self._trial.observe(stamp, estimator.state, self.model, self._history)
 
     def _settle(self, elapsed: float) -> None:
@@ -201,8 +203,8 @@ class Robot:
             ramp=found.ramp,
             angular_ramp=found.angular_ramp,
         )
-        if self._plain and (self._estimator.tells_more or found != self._unknown):
-            self._plain = False
+        told = self._estimator.tells_more or found != self._unknown
+        self._plain = self._plain and (self._bank.unanswered or not told)
         self.model = model if self._plain else self._estimator.with_gains(model)
         self._history.ramps = self.model.ramps
 
@@ -221,7 +223,8 @@ class Robot:
                 command, last, self._rate, limits, settings.motion, self._period
             )
             self._rate = (command - last) / self._period
-        self._estimator.frozen = bool((np.abs(command - found) > _CLIPPED).any())
+        clipped = bool((np.abs(command - found) > _CLIPPED).any())
+        self._estimator.frozen = clipped or self._bank.unanswered
         self._send(command)
         return command
 
@@ -241,6 +244,6 @@ class Robot:
             return
         self._bank.advance(self._now, self._history.last)
         self._bank.observe(*self._reading)
-        if self._now >= self._review:
+        if self._now >= self._review and not self._bank.unanswered:
             self._review = self._now + _REVIEW
             self._found = self._bank.response()

@@ -136,6 +136,31 @@ def test_encoders_with_the_wrong_sign_do_no_more_harm_than_before():
     assert found["learned"].rms < max(0.02, 1.3 * found["ideal"].rms)
 
 
+def held(driver, pose, begun, seconds):
+    """Return the commands to a robot that stays where it is, as with its emergency stop pressed."""
+    times = begun + 10_000_000 * np.arange(1, round(100 * seconds))
+    return [driver.step(pose, int(time), np.zeros(3)).command.tolist() for time in times]
+
+
+def test_a_robot_that_is_held_is_not_taken_for_a_slow_one():
+    pose, found = start_pose(PATH, START), {}
+    for model in ("learned", "ideal"):
+        driver = Driver(settings(model))
+        driver.follow(PATH)
+        found[model] = held(driver, pose, 0, 6.0)
+    assert found["learned"] == found["ideal"]
+
+    models = Models()
+    outcome = run(TYPICAL, 10.0, seen=models)
+    before = models.found[-1]
+    last = outcome.trace[-1]
+    held(models.driver, last[1:4], round(1e9 * (last[0] + 0.2)), 20.0)
+    after = models.driver.robot.model
+    assert after.delay == pytest.approx(before.delay, abs=0.02)
+    assert after.angular_lag == pytest.approx(before.angular_lag, abs=0.02)
+    assert after.linear_gain == pytest.approx(before.linear_gain, abs=0.003)
+
+
 def test_the_robot_is_saved_with_the_weights():
     models = Models()
     run(TYPICAL, 4.0, seen=models)

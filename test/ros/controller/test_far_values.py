@@ -24,8 +24,7 @@ def test_a_node_finds_its_policy_far_from_the_path_while_it_drives(
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     commands = peer.listen(TwistStamped, "cmd_vel")
-    # Its odometry never moves, of which a learned model of the robot would make something.
-    controller = start("controller", controller_frequency=50.0, robot_model="ideal")
+    controller = start("controller", controller_frequency=50.0)
     recorder = start("recorder", output=str(tmp_path / "bag"))
     heard = "recording /path_follower/status\n"
     peer.until(lambda: heard in recorder.output(), "a recorder")
