@@ -45,7 +45,8 @@ def _figure(courses: Sequence[Course]) -> Figure:
         scatter.set_xlabel(f"model: {label}")
         scatter.set_ylabel("measured")
     names, lines = panels[0, 0].get_legend_handles_labels()
-    panels[0, 0].legend(names[:2], lines[:2], loc="upper right")
+    above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 2}
+    panels[0, 0].legend(names[:2], lines[:2], **above)
     panels[1, 0].set_xlabel("time [s]")
     figure.tight_layout()
     return figure

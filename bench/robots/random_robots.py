@@ -1,7 +1,7 @@
-"""Compare the default controller, the one that learns its robot, and tuned peers on random robots.
+"""Compare the controller without a robot model, with a learned one, and tuned peers.
 
     python bench/robots/random_robots.py [--robots 200] [--first 0]
-        [--plant analytic|mujoco] [--contenders default,learned,known,peers] [--cache FILE]
+        [--plant analytic|mujoco] [--contenders ideal,learned,known,peers] [--cache FILE]
 
 J is taken along the true motion; distances are those of the true pose after 8 s. "Best" means at
 least as good as every variant of every peer on that robot, so each peer is tuned for each robot.
@@ -10,7 +10,7 @@ The first 21 robots on MuJoCo (mujoco_results.json; a cache that a longer run ma
 
 | contender | best in J | in RMS | in both | worst J | worst RMS | median RMS [mm] | variation |
 |---|---|---|---|---|---|---|---|
-| default | 43 % | 5 % | 5 % | 2.11 | 9.30 | 42.4 | 0.88 |
+| ideal | 43 % | 5 % | 5 % | 2.11 | 9.30 | 42.4 | 0.88 |
 | learned | 100 % | 67 % | 67 % | 0.97 | 2.15 | 6.1 | 0.38 |
 | best peer | | | | | | 10.4 | |
 
@@ -99,7 +99,7 @@ class Case:
         robot, (gain, turn_gain, bias) = self.robot, self.robot.gains
         servo = 0.01 if self._plant == "mujoco" else 0.0  # [s] that its motors take
         return {
-            "default": {"robot_model": "ideal"},
+            "ideal": {"robot_model": "ideal"},
             "learned": {"robot_model": "learned"},
             "known": {
                 "robot_model": "given",
@@ -127,7 +127,7 @@ def table(found: Mapping[str, Mapping[str, list[float]]]) -> str:
         for seed in seeds
     }
     rows: dict[str, np.ndarray] = {}
-    for name in ("default", "learned", "known"):
+    for name in ("ideal", "learned", "known"):
         have = [seed for seed in seeds if name in found[seed]]
         if not have:
             continue
@@ -156,7 +156,7 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--plant", choices=("analytic", "mujoco"), default="analytic")
-    parser.add_argument("--contenders", default="default,learned,known,peers")
+    parser.add_argument("--contenders", default="ideal,learned,known,peers")
     parser.add_argument("--cache", type=FilePath, default=None)
     options = parser.parse_args()
     names: list[str] = []

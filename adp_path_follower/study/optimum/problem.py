@@ -152,10 +152,10 @@ class Ways:
             steps.append([])
 
         def observe(runs: slice, time: float, pose: FloatArray, output: ControlOutput) -> None:
-            arc_length = output.arc_length[:, None]
-            rows = np.hstack([output.error, arc_length, output.modified_input])
+            times, arc_length = np.full((len(pose), 1), time), output.arc_length[:, None]
+            rows = np.hstack([times, output.error, arc_length, output.modified_input])
             for number, row in zip(numbers[runs].tolist(), rows, strict=True):
-                self._steps[number][-1].append(np.append(time, row))
+                self._steps[number][-1].append(row)
 
         return observe
 
