@@ -29,6 +29,7 @@ from adp_path_follower.core.control.far_from_path import missing_values, without
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.path.speed_profile import speed_varies
 from adp_path_follower.core.settings.groups import Settings
@@ -38,6 +39,7 @@ from adp_path_follower.study.simulation.simulate import simulate
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.optimum.collocation import Optimum
+    from adp_path_follower.study.optimum.problem import Ways
 
 _AGREEMENT = 1e-5  # relative difference between collocation and costates
 
@@ -97,7 +99,7 @@ def optimum(
     """
     from adp_path_follower.study.optimum.collocation import OptimumSolver
     from adp_path_follower.study.optimum.costate import solve_costates
-    from adp_path_follower.study.optimum.problem import OptimumError, Ways
+    from adp_path_follower.study.optimum.problem import OptimumError
 
     settings = load_settings(
         Settings, "path_follower", params or config_file("paper.yaml"), assignments
@@ -109,18 +111,7 @@ def optimum(
     check_writable(json_file, npz_file, figure_file)
     check_figure(figure_file)
     solver = OptimumSolver(settings, path, start_arc_length, horizon)
-    ways, known = Ways(len(errors)), np.asarray(np.isfinite(errors).all(axis=1))
-    if known.any():
-        simulate(
-            without_values(settings) if missing_values(settings) else settings,
-            path,
-            errors[known],
-            start_arc_length=start_arc_length,
-            duration=horizon,
-            rate=50.0,
-            learning="frozen",
-            observe=ways.of_another(known),
-        )
+    ways = _ways(settings, path, errors, start_arc_length, horizon)
     rows: list[_Row] = []
     with progress_bar(f"solving {len(errors)} starts") as progress:
         for index, start in enumerate(errors):
@@ -144,6 +135,27 @@ def optimum(
         click.echo(f"adp: {text}", err=True)
     _write(rows, json_file, npz_file, figure_file)
     sys.exit(1 if problems else 0)
+
+
+def _ways(
+    settings: Settings, path: Path, errors: FloatArray, start_arc_length: float, horizon: float
+) -> Ways:
+    """Return the controller's own motions from all starts (B, 3), as guesses for the optimum."""
+    from adp_path_follower.study.optimum.problem import Ways
+
+    ways, known = Ways(len(errors)), np.asarray(np.isfinite(errors).all(axis=1))
+    if known.any():
+        simulate(
+            without_values(settings) if missing_values(settings) else settings,
+            path,
+            errors[known],
+            start_arc_length=start_arc_length,
+            duration=horizon,
+            rate=50.0,
+            learning="frozen",
+            observe=ways.of_another(known),
+        )
+    return ways
 
 
 def _unsettled(found: Optimum, start: FloatArray) -> str:

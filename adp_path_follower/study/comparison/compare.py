@@ -178,7 +178,7 @@ def compare(
         observed = functools.partial(run, observe=ways.of_another(known))
         found = _outcome(item, observed, run, path, starts, duration, lap, len(chosen), advance)
         outcomes.append(found)
-    ideal = plant is None or plant.ideal
+    ideal = (plant is None or plant.ideal) and faults is None
     costs = np.array([found.cost for found in outcomes]) if ideal else np.zeros((0, len(starts)))
     optima, problems = _optima(
         *(solver, starts, ways, costs),
