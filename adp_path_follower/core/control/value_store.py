@@ -29,7 +29,7 @@ from adp_path_follower.core.settings.groups import Settings
 _LOG = logging.getLogger(__name__)
 _MOST_FILES = 40  # of 2 MB each; the oldest ones go
 _MOST_KEPT = 6  # in memory
-_NICE = 5  # control comes first
+_NICE = 10  # control comes first, with ten times the processor's share
 
 
 def problem_of(settings: Settings) -> ValueProblem:
