@@ -53,6 +53,7 @@ class StateEstimator:
         """Begin with the gains of a model, which stay if it does not learn."""
         self.stamp: float | None = None  # of the last message [s]
         self.frozen = False  # gains and bias
+        self.unanswered = False  # whether the robot rests while it is told to move: no noise
         self._learns = learns
         self.noise: FloatArray = _NOISE.copy()  # variances of x, y, theta, v, w in a message
         self._means = np.zeros((_COUNT, 8))
@@ -210,7 +211,7 @@ class StateEstimator:
         if outlier:
             return
         inverse = np.linalg.inv(expected)
-        if self._share <= _ADAPTATION:  # the noise is known
+        if self._share <= _ADAPTATION and not self.unanswered:  # the noise is known
             distance = (surprise[:, None, :] @ inverse @ surprise[:, :, None])[:, 0, 0]
             distance += np.log(np.linalg.det(expected)) + _JUMP * (jumps > 0.0).sum(axis=1)
             self._evidence -= 0.5 * distance + elapsed / _MEMORY * self._evidence
@@ -228,7 +229,8 @@ class StateEstimator:
         keeps[:, :, :5] -= gain  # Joseph's form, which no rounding makes negative
         self._covariances = keeps @ self._covariances @ keeps.swapaxes(1, 2)
         self._covariances += (gain * self.noise) @ gain.swapaxes(1, 2)
-        self._learn_noise(surprise - correction[:, :5], jumps)
+        if not self.unanswered:
+            self._learn_noise(surprise - correction[:, :5], jumps)
 
     def _learn_noise(self, left: FloatArray, jumps: FloatArray) -> None:
         """Learn the noise of a message from what is left of surprises (N, 5) after correction."""

@@ -185,6 +185,7 @@ class Robot:
         stamp = self._now - age
         self._reading = (stamp, v, w)
         estimator = self._estimator
+        estimator.unanswered = self._bank.unanswered
         if self._bank.held:  # the model would have it move
             estimator.forget_state()
         elif estimator.observe(stamp, place, (v, w), self.model, self._history):
