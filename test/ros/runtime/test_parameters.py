@@ -54,6 +54,7 @@ def test_a_dump_starts_an_identical_node(peer, start, tmp_path):
         "learning": False,
         "save_weights_to": "yes: [no",
         "use_sim_time": False,
+        "wide_region": "approach",  # the grid of values takes over when it is found
     }
     for key, value in changes.items():
         result = peer.set_parameter(name, key, value)
