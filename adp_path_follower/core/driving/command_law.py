@@ -8,7 +8,8 @@ numbered as they are used here:
     (3)  u within the limits less [v_ss, w_ss]                      the constrained minimiser
     (4)  delta = e^T Q e + u^T R u + Wc^T omega,  omega = sigma' (f + g u)       Bellman error
     (5)  doubt where delta or Wc^T sigma breaks its bound           `control.fallback`
-    (6)  u moves to the Riccati policy's by doubt, and far from the path to the far policy's
+    (6)  u moves to the Riccati policy's by doubt, and far from the path to the far policy's;
+         a robot that is not ideal is held on the path (`control.near_path`)
     (7)  [v, w] = [v_ss, w_ss] + u within the limits of velocity and acceleration
 
 Weights that change along the path add (dWc/ds_p)^T sigma s_p' to (4). Every function broadcasts
@@ -26,6 +27,7 @@ from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.control.cost import RunningCost
 from adp_path_follower.core.control.fallback import Fallback
 from adp_path_follower.core.control.far_from_path import WideRegion
+from adp_path_follower.core.control.near_path import NearPath
 from adp_path_follower.core.control.policy import descending_input, saturate, within
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.driving.output import FollowerOutput
@@ -63,6 +65,7 @@ class CommandLaw:
         learner: Learner,
         actuation: Actuation,
         profile: SpeedProfile,
+        near_path: NearPath | None = None,
     ) -> None:
         """Take Riccati solution, learner, last commands, and the speeds that is learned for."""
         self._settings, self._riccati = settings, riccati
@@ -74,7 +77,8 @@ class CommandLaw:
         self._since_change = math.inf  # [s], from the far policy `_leaving` to `_wide_region`
         safe_policy = settings.policy.fallback != "none"
         self._fallback = Fallback(settings, riccati) if safe_policy else None
-        self._profile = profile
+        self._profile, self._near_path = profile, near_path
+        self.robot_is_ideal = True
 
     def hold(self) -> None:
         """Forget earlier doubt: the next step decides at once which policy drives."""
@@ -217,7 +221,9 @@ class CommandLaw:
             applied = self._fallback.blend(applied, doubt, *place)
         far = self._wide_region.blend(applied, *place)
         self._since_change += dt
-        if self._since_change >= _CHANGE_TIME:
+        if self._since_change < _CHANGE_TIME:
+            before = self._leaving.blend(applied, *place)
+            far = before + self._since_change / _CHANGE_TIME * (far - before)
+        if self._near_path is None or self.robot_is_ideal:
             return far
-        before = self._leaving.blend(applied, *place)
-        return before + self._since_change / _CHANGE_TIME * (far - before)
+        return self._near_path.held(far, *place)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adp_path_follower.core.control.actuation import Actuation
+from adp_path_follower.core.control.near_path import NearPath
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.driving.arrival import Goal
@@ -73,7 +74,12 @@ class PathFollower:
             self._learner = PathLearner(settings, path, riccati, self.profile, batch)
         else:
             self._learner = PathStateLearner(settings, path, riccati, weights, self.profile)
-        self.law = CommandLaw(settings, riccati, self._learner, self._actuation, self.profile)
+        near_path: NearPath | None = None
+        if settings.robot.robot_model != "ideal" and settings.policy.tight_within > 0.0:
+            near_path = NearPath(settings, path, riccati, self.profile)
+        self.law = CommandLaw(
+            settings, riccati, self._learner, self._actuation, self.profile, near_path
+        )
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
         self._period = 0.0  # [s] of the last step
@@ -86,6 +92,15 @@ class PathFollower:
     @settings.setter
     def settings(self, settings: Settings) -> None:
         self.law.settings = settings
+
+    @property
+    def robot_is_ideal(self) -> bool:
+        """Return whether the robot moves as it is told; else it is held on the path."""
+        return self.law.robot_is_ideal
+
+    @robot_is_ideal.setter
+    def robot_is_ideal(self, ideal: bool) -> None:
+        self.law.robot_is_ideal = ideal
 
     @property
     def arc_length(self) -> FloatArray:

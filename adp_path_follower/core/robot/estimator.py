@@ -28,7 +28,10 @@ _LOST, _ANEW = -7.0, -2.0  # logarithms of a weight at which a filter begins ane
 _UNSURE = 0.3  # share of a change of velocity that the model may miss
 _TURNED = 1.0  # [1/m] turn rate that comes with a change of velocity, as wheels differ
 _START = np.array([0.02, 0.02, 0.03, 0.05, 0.05]) ** 2
-_GAINS_START = np.array([0.03, 0.04, 0.03]) ** 2
+# Wheels larger than the odometry believes move and turn the robot farther alike: k_v and k_w start
+# with a common part, to which k_w adds that of the track.
+_SIZE, _TRACK, _BIAS = 0.03**2, 0.03**2, 0.03**2
+_GAINS_START = np.array([[_SIZE, _SIZE, 0.0], [_SIZE, _SIZE + _TRACK, 0.0], [0.0, 0.0, _BIAS]])
 _LEAST_GAINS, _MOST_GAINS = np.array([0.88, 0.8, -0.15]), np.array([1.12, 1.25, 0.15])
 _FLOOR = np.array([1e-4, 1e-4, 2e-4, 2e-3, 4e-3]) ** 2  # of the noise of a message
 _NOISE = np.array([0.005, 0.005, 0.01, 0.01, 0.02]) ** 2  # at the start
@@ -61,7 +64,7 @@ class StateEstimator:
         self._means[:, _GAINS] = self._start_gains
         self._covariances = np.zeros((_COUNT, 8, 8))
         if learns:
-            self._covariances[:, _GAINS, _GAINS] = np.diag(_GAINS_START)
+            self._covariances[:, _GAINS, _GAINS] = _GAINS_START
         self._evidence = np.zeros(_COUNT)  # logarithms of the weights
         self._outliers, self._share = 0, _EARLY
         self._mix()

@@ -84,6 +84,7 @@ class ResponseBank:
         self._stamp = self._transient = -math.inf
         self.unanswered = False  # whether the robot rests while it is told to move, ...
         self.held = False  # for so long that it is held
+        self.hurried = False  # whether the wheels are, or just were, getting up to speed
         self._answer: tuple[float, FloatArray] | None = None  # the last, and the evidence then
         self._command = (0.0, 0.0)
 
@@ -149,7 +150,8 @@ class ResponseBank:
         # Wheels that are still getting up to speed have no room for a turn.
         if abs(v - self._command[0]) > _TRANSIENT:
             self._transient = stamp
-        if stamp - self._transient < _CALM:
+        self.hurried = stamp - self._transient < _CALM
+        if self.hurried:
             error[:, linear:] = 0.0
         self._evidence += weight * error
 

@@ -112,6 +112,11 @@ class Robot:
         return ""
 
     @property
+    def ideal(self) -> bool:
+        """Return whether the last step took the robot for an ideal one."""
+        return self._acting is None or self.model.ideal
+
+    @property
     def learned(self) -> tuple[float, ...]:
         """Return the parameters of the model to begin with another time, if it is learned."""
         return dataclasses.astuple(self.model) if self._learns else ()
@@ -225,7 +230,7 @@ class Robot:
             )
             self._rate = (command - last) / self._period
         clipped = bool((np.abs(command - found) > _CLIPPED).any())
-        self._estimator.frozen = clipped or self._bank.unanswered
+        self._estimator.frozen = clipped or self._bank.unanswered or self._bank.hurried
         self._send(command)
         return command
 

@@ -249,6 +249,13 @@ class PolicySettings:
         low=0.1,
         high=1.5,
     )
+    tight_within: float = setting(
+        0.01,
+        "Distance from the path [m], and angle to it [rad], within which a robot that is not ideal "
+        "is held on the path more strictly than the cost asks for; 0: nowhere.",
+        low=0.0,
+        high=1e6,
+    )
 
     def __post_init__(self) -> None:
         """Reject levels that do not rise."""

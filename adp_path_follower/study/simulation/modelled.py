@@ -4,6 +4,7 @@ import dataclasses
 
 from adp_path_follower.core.control.interface import Controller, ControlOutput
 from adp_path_follower.core.control.virtual_target import VirtualTarget
+from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.speed_profile import SpeedReference
 from adp_path_follower.core.robot.robot import Robot
@@ -33,6 +34,8 @@ class ModelledController:
         if first and then > self._time and hasattr(self._controller, "lead"):
             self._controller.lead(pose, ahead[None], (then - self._time) * 1e-9)
         elapsed, self._then = 0.0 if first else (then - self._then) * 1e-9, then
+        if isinstance(self._controller, PathFollower):
+            self._controller.robot_is_ideal = self._robot.ideal
         output = self._controller.step(ahead[None], elapsed)
         command = self._robot.command(output.command[0])
         self._robot.learn()
