@@ -28,7 +28,7 @@ class GridAxes:
 
     shape: tuple[int, int, int]  # number of nodes in s, y and theta
     reach: float  # largest |s| and |y| [m]
-    bend: float = 2.0  # distance [m] below which the nodes in s and y are about equally spaced
+    bend: float  # distance [m] below which the nodes in s and y are about equally spaced
 
     @property
     def nodes(self) -> FloatArray:

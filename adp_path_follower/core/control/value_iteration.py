@@ -26,7 +26,9 @@ _STEP = 0.15  # [s] of a sweep, or less at speeds at which a step would cross ..
 _STRIDE = 0.25  # [m]
 _FAR = 4.0  # [m] from which on steps grow with the distance, as the spacing of the nodes does
 _TURN = 0.3  # [rad] of the target's frame in a step
-_NEAR = 0.3  # [m], [rad] about the path, where the Riccati solution is the value
+_NEAR = 0.3  # [m], [rad] about the path, where the Riccati solution is the value, ...
+_BEND = 2.0  # [m] within which the nodes are about equally spaced, ...
+_USUAL_SPEED = 0.5  # [m/s] along the path: slower robots change their ways within shorter lengths
 _POLICY_EVERY = 5  # sweeps from one policy to the next
 _COARSE_SWEEPS = 60
 _SEARCHED = 30  # sweeps of the first grid that try inputs from limit to limit, too
@@ -35,7 +37,7 @@ _SETTLED = 5e-5  # mean change of rho in a sweep
 _MOST_SWEEPS = 400
 _UNLIMITED = 2.0  # speeds where there is no limit, as multiples of v_des + 1/s of the distance
 _MOST_TURN = 1.0  # [rad] of a step where there is no limit
-METHOD = (3, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
+METHOD = (4, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,9 @@ class ValueProblem:
 
 def solve(problem: ValueProblem) -> ValueGrid:
     """Return the value function of a problem."""
-    coarse, fine = GridAxes(_COARSE, _REACH), GridAxes(_FINE, _REACH)
     speed = min(problem.target.desired_speed, float(problem.limits.upper[0]))
+    bend = _BEND * length_scale(speed)
+    coarse, fine = GridAxes(_COARSE, _REACH, bend), GridAxes(_FINE, _REACH, bend)
     count = len(_CURVATURES)
     riccati = riccati_solutions(_CURVATURES, np.full(count, speed), problem.target, problem.cost)
     start = _Layer(problem, coarse, 0.0, riccati[0])
@@ -67,6 +70,11 @@ def solve(problem: ValueProblem) -> ValueGrid:
         axes = fine
         layers.append(coefficients)
     return ValueGrid(fine, _CURVATURES, riccati, np.stack(layers))
+
+
+def length_scale(speed: float) -> float:
+    """Return the length within which ways change at a speed [m/s], as a share of the usual one."""
+    return min(1.0, speed / _USUAL_SPEED)
 
 
 class _Layer:
@@ -93,7 +101,8 @@ class _Layer:
         base, self._base_slope = half_angle_form(self._nodes, riccati)
         self._base = np.maximum(base, 1e-9)
         self._counted = distance < _COUNTED
-        self._near = (np.abs(self._nodes) < _NEAR).all(-1)
+        scale = length_scale(self._speed)
+        self._near = (np.abs(self._nodes) < _NEAR * np.array([scale, scale, 1.0])).all(-1)
 
     def _steps(self, distance: FloatArray, fastest: float) -> FloatArray:
         """Return the time of a step [s] at the nodes: longer where these are further apart."""

@@ -67,7 +67,7 @@ def keep(problem: ValueProblem, content: bytes) -> None:
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             shape = tuple(int(n) for n in arrays["shape"])
-            axes = GridAxes((shape[0], shape[1], shape[2]), float(arrays["reach"]))
+            axes = GridAxes((shape[0], shape[1], shape[2]), *map(float, arrays["lengths"]))
             parts = [arrays[key] for key in ("curvatures", "riccati", "coefficients")]
         if len(_found) >= _MOST_KEPT:
             _found.pop(next(iter(_found)))
@@ -81,7 +81,7 @@ def store(problem: ValueProblem) -> bytes:
     np.savez(
         content,
         shape=grid.axes.shape,
-        reach=grid.axes.reach,
+        lengths=(grid.axes.reach, grid.axes.bend),
         curvatures=grid.curvatures,
         riccati=grid.riccati,
         coefficients=grid.coefficients,

@@ -237,7 +237,8 @@ class PolicySettings:
     wide_region_levels: tuple[float, ...] = setting(
         (1.0, 1.25),
         "Errors, as multiples of sample_half_widths, at which the policy starts and ends to change "
-        "from the learned one to that of wide_region; to value_grid at 0.7 of them.",
+        "from the learned one to that of wide_region; to value_grid at 0.7 of them, and below "
+        "0.5 m/s nearer to the path in proportion.",
         lengths=(2,),
         low=POSITIVE,
         high=1e6,

@@ -47,6 +47,27 @@ def test_far_from_a_line_the_cost_is_the_optimum():
     assert ratio.max() < 1.001
 
 
+def test_slow_robots_leave_the_polynomial_nearer_to_the_path():
+    """Before the figure eight's bend at 0.22 m/s; J* by collocation, 40 s."""
+    optima = {
+        (-0.91, 0.143, -0.741): 1.6072746,
+        (0.385, 0.632, -0.326): 2.4829923,
+        (0.11, 0.883, -1.009): 2.6880096,
+    }
+    slow = build(Settings, {"desired_speed": 0.22})
+    result = simulate(
+        slow,
+        named_path("lissajous"),
+        list(optima),
+        learning="warm",
+        duration=40.0,
+        start_arc_length=15.527,
+    )
+    ratio = result.cost / list(optima.values())
+    assert ratio.min() > 1.0 - 1e-5
+    assert ratio.max() < 1.005
+
+
 def test_the_value_is_the_cost_that_is_left_to_come(grid):
     for curvature in (0.25, 0.6):  # layers of the grid, where nothing is interpolated
         path = named_path(f"circle:{curvature}")
