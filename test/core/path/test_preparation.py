@@ -127,6 +127,18 @@ def test_a_square_has_straight_sides_and_rounded_corners(spacing, tolerance):
     assert curvature.min() > -0.03 * least
 
 
+@pytest.mark.parametrize("spacing", [0.02, 0.1])
+@pytest.mark.parametrize("begins", [0.0, 0.5, 1.0])
+def test_a_smooth_curve_is_driven_as_given_however_it_bends_at_its_ends(spacing, begins):
+    x = np.arange(begins, 12.0 + begins, spacing)
+    slalom = np.column_stack([x, 0.5 * np.cos(0.5 * math.pi * x)])
+    angle = np.arange(begins, 2.0 + begins, spacing / 0.8)
+    arc = 0.8 * np.column_stack([np.cos(angle), np.sin(angle)])
+    for points in (slalom, arc):
+        (segment,) = prepare(points, FORWARDS).segments
+        assert nearest_on(segment.path, points).max() < 1e-4
+
+
 @pytest.mark.parametrize("noise", [0.001, 0.005, 0.01])
 def test_noise_is_averaged(noise):
     rng = np.random.default_rng(3)
