@@ -1,6 +1,7 @@
 """The policy far from the path, where nothing is learned."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Protocol
 
@@ -62,6 +63,11 @@ def register_far_policy(name: str, factory: Callable[[Settings], FarPolicy]) -> 
     OWN_FAR_POLICIES.register(name, factory)
 
 
+# [m] between which the approach takes over: the nodes are too rare there. Less below 0.5 m/s.
+_GRID_ENDS = np.array([8.0, 11.0])
+# [rad] from facing backwards, within which the slope by theta is taken over as much to both sides:
+# the heading of the half-angle form has a kink there, in whose notch robots would stay for ever.
+_NOTCH = 0.25
 _GRID_LEVELS = 0.7  # of `wide_region_levels`: the grid is exact where the learned policy is not yet
 
 
@@ -105,12 +111,26 @@ class GridPolicy:
         error = zeta[..., :3]
         if self._grid is None:
             self._grid = value_grid(self._settings)
-        _, slope = self._grid.value_and_slope(error, np.asarray(curvature))
-        theta = error[..., 2]
+        grid, kappa, theta = self._grid, np.asarray(curvature), error[..., 2]
+        value, slope = grid.value_and_slope(error, kappa)
+        backwards = np.abs(theta) > math.pi - _NOTCH
+        if np.any(backwards):
+            left, right = (
+                grid.value_and_slope(_turned(error, angle), kappa)[0] for angle in (_NOTCH, -_NOTCH)
+            )
+            notch = backwards & ((left > value) != (right > value))
+            slope[..., 2] = np.where(notch, 0.5 * (left - right) / _NOTCH, slope[..., 2])
         ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
         descent = np.stack([ahead, slope[..., 2]], axis=-1)
         wanted = descending_input(descent, self._input_cost_inverse)
         return saturate(wanted, feedforward, self._settings.limits)
+
+
+def _turned(error: FloatArray, angle: float) -> FloatArray:
+    """Return errors (..., 3) of a robot that is turned by an angle [rad]."""
+    found = error.copy()
+    found[..., 2] = wrap_angle(error[..., 2] + angle)
+    return found
 
 
 class WideRegion:
@@ -121,8 +141,9 @@ class WideRegion:
         self._policy, self._kind = settings.policy, settings.policy.wide_region
         self._levels = far_levels(settings)
         self._half_widths = np.array(settings.learning.sample_half_widths[:3])
+        speed = min(settings.target.desired_speed, float(settings.limits.upper[0]))
+        self._grid_ends = math.sqrt(length_scale(speed)) * _GRID_ENDS
         if self._kind == "value_grid":
-            speed = min(settings.target.desired_speed, float(settings.limits.upper[0]))
             self._half_widths[:2] *= length_scale(speed)
         self._widths: list[float] = self._half_widths.tolist()
         self._limits = settings.limits
@@ -153,13 +174,24 @@ class WideRegion:
         share = self.share(zeta)[..., None]
         if not (share > 0.0).any():
             return learned
-        if self._kind == "approach":
-            wanted = self._approach(zeta, self._riccati.matrix(curvature, feedforward[..., 0]))
-            far = saturate(wanted, feedforward, self._limits)
-        else:
+        beyond = self._beyond_grid(zeta)
+        far = np.zeros_like(learned)
+        if (beyond < 1.0).any():
             far = self._far.modified_input(zeta, curvature, feedforward)
             far = saturate(np.asarray(far), feedforward, self._limits) if self._is_own else far
+        if (beyond > 0.0).any():
+            wanted = self._approach(zeta, self._riccati.matrix(curvature, feedforward[..., 0]))
+            approach = saturate(wanted, feedforward, self._limits)
+            far = far + beyond * (approach - far)
         return np.asarray((1.0 - share) * learned + share * far)
+
+    def _beyond_grid(self, zeta: FloatArray) -> FloatArray:
+        """Return how much of the approach drives instead of the far policy, shape (..., 1)."""
+        if self._kind != "value_grid":
+            return np.full((*zeta.shape[:-1], 1), float(self._kind == "approach"))
+        distance = np.hypot(zeta[..., 0], zeta[..., 1])[..., None]
+        start, end = self._grid_ends
+        return np.asarray(np.clip((distance - start) / (end - start), 0.0, 1.0))
 
     def share(self, error: FloatArray) -> FloatArray:
         """Return how much of the far policy drives at errors (..., 3 or 4), from 0 to 1, (...)."""

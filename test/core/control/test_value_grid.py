@@ -124,6 +124,28 @@ def test_noise_does_not_keep_a_robot_between_two_ways():
         assert np.ptp(same) < 0.01 * same.mean()
 
 
+@pytest.mark.parametrize(
+    ("changes", "radius", "count", "duration"),
+    [
+        ({}, 18.0, 100, 130.0),
+        # Eight of 300 once stayed where they faced backwards.
+        ({"desired_speed": 2.0, "max_linear_vel": 3.0, "max_angular_vel": 3.0}, 3.0, 300, 30.0),
+    ],
+)
+def test_every_robot_comes_to_the_path(changes, radius, count, duration):
+    angles = np.random.default_rng(3).uniform(-math.pi, math.pi, (count, 2))
+    place = radius * np.column_stack([np.cos(angles[:, 0]), np.sin(angles[:, 0])])
+    result = simulate(
+        build(Settings, changes),
+        named_path("line"),
+        np.column_stack([place, angles[:, 1]]),
+        learning="frozen",
+        duration=duration,
+        rate=25.0,
+    )
+    assert np.abs(result.final_error).max() < 0.05
+
+
 def test_what_is_stored_is_read_again_to_the_last_bit(grid, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(value_store, "_found", {})
