@@ -142,6 +142,7 @@ def test_a_path_that_is_shortened_while_driving_is_gone_on_with_and_replays(peer
     peer.until(lambda: heard in recorder.output(), "a recorder")
     poses, _ = read_poses(CASES / "turn_on_the_spot.csv")
     peer.path.publish(poses_message(poses, "odom", 0))
+    peer.until(lambda: "recording /path\n" in recorder.output(), "a recorder of the first path")
     peer.until(lambda: odometry and odometry[-1].pose.pose.position.x > 0.3, "a beginning")
     peer.path.publish(poses_message(poses[4:], "odom", 0))
     turning = lambda: odometry[-1].pose.pose.orientation.z > 0.3  # noqa: E731

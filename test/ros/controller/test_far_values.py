@@ -29,7 +29,7 @@ def test_a_node_finds_its_policy_far_from_the_path_while_it_drives(
     heard = "recording /path_follower/status\n"
     peer.until(lambda: heard in recorder.output(), "a recorder")
     peer.until_matched(peer.odometry, peer.path)
-    peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 4.0, 0.5)))
+    peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 2.0, -1.0)))
     peer.send_path()
     peer.until(lambda: READY in controller.output(), "the values", FINDING)
     count = len(commands)
