@@ -17,7 +17,7 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 
-_WEIGHT = 30.0  # of y, as a multiple of the cost's
+_WEIGHT = 30.0  # [1/m^2] of y at least, as a multiple of the cost of the turn rate
 
 
 class NearPath:
@@ -31,7 +31,7 @@ class NearPath:
         inverse = np.linalg.inv(settings.cost.input_cost_matrix())
         self._inverse: FloatArray = np.asarray(inverse, float)
         cost = settings.cost.state_cost_matrix()
-        cost[1, 1] *= _WEIGHT
+        cost[1, 1] = max(cost[1, 1], _WEIGHT * settings.cost.input_cost_matrix()[1, 1])
         tight = dataclasses.replace(settings.cost, state_cost=tuple(cost.ravel().tolist()))
         self._more = RiccatiSchedule(path, settings.target, tight, profile)
         self._more.table = self._more.table - riccati.table

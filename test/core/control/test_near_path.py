@@ -31,10 +31,10 @@ def parts(**values):
     return tuning, NearPath(tuning, path, riccati, SpeedProfile(path, tuning))
 
 
-def solution(tuning, weight):
-    """Return P with a multiple of the cost of y, by scipy."""
+def solution(tuning, least):
+    """Return P with a cost of y of at least so much, by scipy."""
     state_cost, input_cost = tuning.cost.state_cost_matrix(), tuning.cost.input_cost_matrix()
-    state_cost[1, 1] *= weight
+    state_cost[1, 1] = max(state_cost[1, 1], least)
     system = system_matrix(CURVATURE, tuning.target, tuning.target.desired_speed)
     return solve_continuous_are(system, INPUT_MATRIX, state_cost, input_cost)
 
@@ -45,9 +45,16 @@ def test_close_to_the_path_it_turns_as_the_larger_cost_asks_for(input_cost, erro
     tuning, near = parts(input_cost=input_cost)
     zeta, fed = np.array([0.3, *error, 0.0]), feedforward(np.array(CURVATURE), 0.5)
     added = near.held(np.zeros(2), zeta, np.array(CURVATURE), fed)
-    more = solution(tuning, 30.0) - solution(tuning, 1.0)
+    more = solution(tuning, 60.0) - solution(tuning, 1.0)  # 30 R_ww
     wanted = np.linalg.solve(tuning.cost.input_cost_matrix(), [0.0, more[2, 1:] @ error])
     np.testing.assert_allclose(added, -wanted, rtol=2e-3, atol=1e-7)
+
+
+def test_a_cost_that_is_larger_already_is_left_alone():
+    _, near = parts(state_cost=[1.0, 40.0, 1.0])
+    zeta, u = np.array([0.1, 0.005, 0.003, 0.0]), np.array([0.1, -0.2])
+    fed = feedforward(np.array(CURVATURE), 0.5)
+    np.testing.assert_allclose(near.held(u, zeta, np.array(CURVATURE), fed), u, atol=1e-15)
 
 
 def test_farther_away_it_adds_what_it_adds_at_its_reach():
