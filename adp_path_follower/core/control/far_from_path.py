@@ -10,7 +10,7 @@ import numpy as np
 from adp_path_follower.core.control.fallback import RiccatiPolicy
 from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.control.value_iteration import ValueProblem, length_scale
+from adp_path_follower.core.control.value_iteration import ValueProblem
 from adp_path_follower.core.control.value_store import problem_of, stored, value_grid
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
@@ -141,10 +141,10 @@ class WideRegion:
         self._policy, self._kind = settings.policy, settings.policy.wide_region
         self._levels = far_levels(settings)
         self._half_widths = np.array(settings.learning.sample_half_widths[:3])
-        speed = min(settings.target.desired_speed, float(settings.limits.upper[0]))
-        self._grid_ends = math.sqrt(length_scale(speed)) * _GRID_ENDS
+        scale = problem_of(settings).length_scale
+        self._grid_ends = math.sqrt(scale) * _GRID_ENDS
         if self._kind == "value_grid":
-            self._half_widths[:2] *= length_scale(speed)
+            self._half_widths[:2] *= scale
         self._widths: list[float] = self._half_widths.tolist()
         self._limits = settings.limits
         self._riccati = riccati

@@ -48,14 +48,25 @@ class ValueProblem:
     cost: CostSettings
     limits: LimitSettings
 
+    @property
+    def speed(self) -> float:
+        """Return the speed along the path that the robot can drive [m/s]."""
+        return min(self.target.desired_speed, float(self.limits.upper[0]))
+
+    @property
+    def length_scale(self) -> float:
+        """Return the length within which the best way changes, as a share of the usual one."""
+        return min(1.0, self.speed / _USUAL_SPEED)
+
 
 def solve(problem: ValueProblem) -> ValueGrid:
     """Return the value function of a problem."""
-    speed = min(problem.target.desired_speed, float(problem.limits.upper[0]))
-    bend = _BEND * length_scale(speed)
+    bend = _BEND * problem.length_scale
     coarse, fine = GridAxes(_COARSE, _REACH, bend), GridAxes(_FINE, _REACH, bend)
     count = len(_CURVATURES)
-    riccati = riccati_solutions(_CURVATURES, np.full(count, speed), problem.target, problem.cost)
+    riccati = riccati_solutions(
+        _CURVATURES, np.full(count, problem.speed), problem.target, problem.cost
+    )
     start = _Layer(problem, coarse, 0.0, riccati[0])
     coefficients = start.iterate(start.filtered(np.full(_COARSE, 1.2)), _COARSE_SWEEPS, _SEARCHED)
     axes, layers = coarse, []
@@ -72,11 +83,6 @@ def solve(problem: ValueProblem) -> ValueGrid:
     return ValueGrid(fine, _CURVATURES, riccati, np.stack(layers))
 
 
-def length_scale(speed: float) -> float:
-    """Return the length within which ways change at a speed [m/s], as a share of the usual one."""
-    return min(1.0, speed / _USUAL_SPEED)
-
-
 class _Layer:
     """The problem at one curvature."""
 
@@ -85,7 +91,7 @@ class _Layer:
     ) -> None:
         self._axes, self._curvature, self._riccati = axes, curvature, riccati
         target, limits = problem.target, problem.limits
-        self._speed = min(target.desired_speed, float(limits.upper[0]))
+        self._speed = problem.speed
         self._gain = target.target_gain
         self._fastest = target.desired_speed + self._gain * MOST_LEAD
         self._state_cost = problem.cost.state_cost_matrix()
@@ -101,7 +107,7 @@ class _Layer:
         base, self._base_slope = half_angle_form(self._nodes, riccati)
         self._base = np.maximum(base, 1e-9)
         self._counted = distance < _COUNTED
-        scale = length_scale(self._speed)
+        scale = problem.length_scale
         self._near = (np.abs(self._nodes) < _NEAR * np.array([scale, scale, 1.0])).all(-1)
 
     def _steps(self, distance: FloatArray, fastest: float) -> FloatArray:

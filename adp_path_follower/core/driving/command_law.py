@@ -78,7 +78,7 @@ class CommandLaw:
         safe_policy = settings.policy.fallback != "none"
         self._fallback = Fallback(settings, riccati) if safe_policy else None
         self._profile, self._near_path = profile, near_path
-        self.robot_is_ideal = True
+        self.robot_is_ideal = True  # whether the robot moves as it is told; else it is held
 
     def hold(self) -> None:
         """Forget earlier doubt: the next step decides at once which policy drives."""

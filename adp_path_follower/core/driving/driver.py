@@ -297,7 +297,7 @@ class Driver:
             if turning is not None:
                 return turning
         assert self._follower is not None  # one has just begun, if there was none
-        self._follower.robot_is_ideal = self.robot.ideal
+        self._follower.law.robot_is_ideal = self.robot.ideal
         facing_ahead = self._present.heading_of_path(ahead)
         self.output = self._follower.step_at(facing_ahead, then, learn=False)
         self._to_learn = True

@@ -94,15 +94,6 @@ class PathFollower:
         self.law.settings = settings
 
     @property
-    def robot_is_ideal(self) -> bool:
-        """Return whether the robot moves as it is told; else it is held on the path."""
-        return self.law.robot_is_ideal
-
-    @robot_is_ideal.setter
-    def robot_is_ideal(self, ideal: bool) -> None:
-        self.law.robot_is_ideal = ideal
-
-    @property
     def arc_length(self) -> FloatArray:
         """Return s_p of the virtual target [m], shape (...)."""
         return self._target.arc_length

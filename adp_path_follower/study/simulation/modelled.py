@@ -35,7 +35,7 @@ class ModelledController:
             self._controller.lead(pose, ahead[None], (then - self._time) * 1e-9)
         elapsed, self._then = 0.0 if first else (then - self._then) * 1e-9, then
         if isinstance(self._controller, PathFollower):
-            self._controller.robot_is_ideal = self._robot.ideal
+            self._controller.law.robot_is_ideal = self._robot.ideal
         output = self._controller.step(ahead[None], elapsed)
         command = self._robot.command(output.command[0])
         self._robot.learn()

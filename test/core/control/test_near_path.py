@@ -75,7 +75,7 @@ def test_what_pushes_it_aside_leaves_it_where_the_gain_says(tight_within):
     tuning = build(Settings, {"robot_model": "learned", "tight_within": tight_within})
     unknown = 0.02  # [rad/s]
     follower = PathFollower(tuning, named_path("line"))
-    follower.robot_is_ideal = False
+    follower.law.robot_is_ideal = False
     pose = np.array([0.0, 0.0, 0.0])
     for _ in range(3000):
         v, w = follower.step(pose, 0.01).command

@@ -161,6 +161,15 @@ def test_a_robot_that_is_held_is_not_taken_for_a_slow_one():
     assert after.linear_gain == pytest.approx(before.linear_gain, abs=0.003)
 
 
+def test_it_is_held_on_the_path_against_what_its_model_does_not_know():
+    robot = Robot(lag=0.1, wheel_difference=0.01)
+    found = []
+    for tight_within in (0.0, 0.01):
+        tuning = settings("given", robot_lags=(0.1, 0.1), tight_within=tight_within)
+        found.append(run(robot, tuning=tuning).rms)
+    assert found[1] < 0.5 * found[0]
+
+
 def test_the_robot_is_saved_with_the_weights():
     models = Models()
     run(TYPICAL, 4.0, seen=models)

@@ -341,3 +341,15 @@ def test_bad_arguments_are_refused_in_a_sentence(tuning, figure_eight, options):
         simulate(tuning, figure_eight, **{"duration": 0.1, **options})
     assert next(iter(options)) in str(caught.value).replace(" ", "_")
     assert "\n" not in str(caught.value)
+
+
+def test_a_simulated_robot_is_held_on_the_path_as_a_driven_one_is():
+    plant, found = PlantSettings(velocity_lag=0.1, bias=0.04), []
+    for tight_within in (0.0, 0.01):
+        tuning = build(
+            Settings,
+            {"robot_model": "given", "robot_lags": [0.1, 0.1], "tight_within": tight_within},
+        )
+        result = simulate(tuning, named_path("line"), STARTS[2], duration=15.0, plant=plant)
+        found.append(abs(result.final_error[0, 1]))
+    assert found[1] < 0.6 * found[0]
