@@ -38,13 +38,14 @@ def inner(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def contiguous(array: FloatArray) -> FloatArray:
-    """Return an array whose numbers lie side by side in memory; a single number as it is.
+    """Return a copy whose numbers lie side by side in memory; a single number as it is.
 
     numpy 1.26 computes arctan2, exp and the like of components, which lie apart, with another
     routine where the result happens to come right behind them in memory: two equal runs could
-    differ in the last bit.
+    differ in the last bit. A copy always, since numpy calls an array of one number contiguous
+    whatever its stride.
     """
-    return array if isinstance(array, float) else np.asarray(array, order="C")
+    return array if isinstance(array, float) else array.copy()
 
 
 def numbers(array: FloatArray) -> tuple[FloatArray, ...]:

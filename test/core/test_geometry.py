@@ -15,6 +15,7 @@ from adp_path_follower.core.geometry import (
     advance_pose,
     clamped,
     components,
+    contiguous,
     cos,
     numbers,
     pose_in_frame,
@@ -166,3 +167,12 @@ def test_numbers_are_the_components_along_the_last_axis(several):
         assert all(type(number) is float for number in numbers(row))
         np.testing.assert_array_equal(numbers(row), row)
         np.testing.assert_array_equal(components(*numbers(row)), row)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_components_computed_with_lie_side_by_side(count):
+    # numpy calls an array of one number contiguous whatever its stride is.
+    apart = np.ones((count, 6))[..., 1]
+    copy = contiguous(apart)
+    assert copy.strides == (copy.itemsize,)
+    assert not np.shares_memory(copy, apart)
