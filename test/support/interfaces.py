@@ -36,6 +36,7 @@ uint16 NO_VALID_CONTROL=106
 uint16 CONTROLLER_TIMED_OUT=107
 std_msgs/Empty result
 uint16 error_code
+string error_msg
 ---
 float32 distance_to_goal
 float32 speed

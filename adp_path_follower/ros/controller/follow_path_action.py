@@ -84,20 +84,21 @@ class FollowPathAction:
     def path_on_topic(self) -> None:
         """End the goal, because a path has come on the topic: the last one commands."""
         if self._goal is not None:
-            self._logger.info("a path on the topic takes over from the goal of follow_path")
-            self._end(self._goal.abort, "UNKNOWN")
+            why = "a path on the topic takes over from the goal of follow_path"
+            self._logger.info(why)
+            self._end(self._goal.abort, "UNKNOWN", why)
 
     def path_refused(self, found: PathAnswer) -> None:
         """End the goal whose path cannot be followed."""
         if self._goal is not None and found.request.goal is self._goal:
-            self._abort("INVALID_PATH")
+            self._abort("INVALID_PATH", self._path.problem)
         elif self._goal is None and self._path.goal is not None:
             self._path.stop()  # its goal has ended
 
     def deactivated(self) -> None:
         """End the goal, as nobody is there to drive."""
         if self._goal is not None:
-            self._abort("UNKNOWN")
+            self._abort("UNKNOWN", "the controller was deactivated")
 
     def look(self) -> None:
         """Tell how far the robot is, and end the goal if it is reached, cancelled or hopeless."""
@@ -128,8 +129,7 @@ class FollowPathAction:
         since = self._standing_since = self._standing_since or now
         over = now - since >= self._site.settings().failure_tolerance
         if over or status.kind in _WAITS_FOR_SOMEBODY:
-            self._logger.error(f"goal of follow_path aborted: {status.cause}")
-            self._abort(_CODES.get(status.kind, "PATIENCE_EXCEEDED"))
+            self._abort(_CODES.get(status.kind, "PATIENCE_EXCEEDED"), status.cause)
 
     def _wanted(self, request: Any) -> GoalResponse:
         if self._site.active():
@@ -140,7 +140,7 @@ class FollowPathAction:
     def _begin(self, goal: ServerGoalHandle) -> None:
         """Follow a goal's path; the robot drives on along the present one until it is prepared."""
         if self._goal is not None:
-            self._end(self._goal.abort, "NONE")
+            self._end(self._goal.abort, "NONE", "another goal takes over")
         self._goal, self._standing_since = goal, None
         goal.execute()
         request, settings = goal.request, self._site.settings()
@@ -149,15 +149,10 @@ class FollowPathAction:
             ("goal_checker", request.goal_checker_id, settings.goal_checker_ids, "UNKNOWN"),
         ):
             if given and given not in known:
-                self._logger.error(
-                    f"goal of follow_path aborted: {name}_id '{given}' is none of {name}_ids, "
-                    f"{', '.join(known)}"
-                )
-                self._abort(code)
+                self._abort(code, f"{name}_id '{given}' is none of {name}_ids, {', '.join(known)}")
                 return
         if not request.path.poses:
-            self._logger.error("goal of follow_path aborted: its path has no poses")
-            self._abort("INVALID_PATH")
+            self._abort("INVALID_PATH", "its path has no poses")
             return
         self._path.submit(serialize_message(request.path), goal)
 
@@ -168,16 +163,17 @@ class FollowPathAction:
             self._site.hurry()
         return CancelResponse.ACCEPT
 
-    def _abort(self, code: str) -> None:
+    def _abort(self, code: str, why: str) -> None:
         """End the goal without success, and with it the drive."""
         assert self._goal is not None  # the caller has looked
-        self._end(self._goal.abort, code)
+        self._logger.error(f"goal of follow_path aborted: {why}")
+        self._end(self._goal.abort, code, why)
         self._path.stop()
 
-    def _end(self, change: Callable[[], None], code: str) -> None:
+    def _end(self, change: Callable[[], None], code: str, why: str = "") -> None:
         assert self._server is not None  # a goal has come through it
         goal, self._goal = self._goal, None
-        result = self._type.Result(error_code=getattr(self._type.Result, code))
+        result = self._type.Result(error_code=getattr(self._type.Result, code), error_msg=why)
         self._server.end(goal, change, result)
 
 

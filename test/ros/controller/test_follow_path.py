@@ -48,6 +48,7 @@ class Planner:
         self.peer, self.type = peer, FollowPath
         self.client = ActionClient(peer.node, FollowPath, "follow_path")
         self.feedback: list[Any] = []
+        self.message = ""  # of the last result
         self.commands = peer.listen(TwistStamped, "cmd_vel")
 
     def start_robot(self, start: Any, **parameters: Any) -> None:
@@ -66,9 +67,10 @@ class Planner:
         return asked.result()
 
     def result(self, handle: Any) -> tuple[int, int]:
-        """Return status and error code of a goal when it has ended."""
+        """Return status and error code of a goal when it has ended, and keep its message."""
         asked = handle.get_result_async()
         self.peer.until(asked.done, "the result")
+        self.message = asked.result().result.error_msg
         return asked.result().status, asked.result().result.error_code
 
     def until_moving(self) -> None:
@@ -95,16 +97,17 @@ def stepped(interfaces, peer, start):
     return found
 
 
-def test_a_goal_is_reached_and_told_of(planner, start):
-    planner.start_robot(start)
+def test_a_goal_is_reached_and_told_of(stepped, start):
+    planner = stepped
+    planner.start_robot(start, lockstep=True)
     handle = planner.send(line(0.0, 1.0), controller_id="FollowPath")
     assert planner.result(handle) == (GoalStatus.STATUS_SUCCEEDED, 0)
+    assert planner.message == ""
     left = [item.distance_to_goal for item in planner.feedback]
     assert left == sorted(left, reverse=True)
     assert left[0] == pytest.approx(1.0, abs=0.1)
     assert left[-1] < 0.2
-    fastest = max(item.speed for item in planner.feedback)
-    assert 0.45 < fastest < 0.75  # on a busy machine it has to catch up with its target
+    assert 0.45 < max(item.speed for item in planner.feedback) < 0.55
 
 
 def test_many_preemptions_neither_stop_nor_jolt_the_robot(stepped, start, tmp_path):
@@ -157,16 +160,18 @@ def test_goals_that_cannot_be_reached_say_why(planner):
     timer = peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
     broken = line(0.0, 1.0)
     broken[3, 0] = math.nan
-    for poses, given, code in (
-        (line(0.0, 1.0), {"controller_id": "MPPI"}, codes.INVALID_CONTROLLER),
-        (line(0.0, 1.0), {"goal_checker_id": "precise"}, codes.UNKNOWN),
-        (line(0.0, 0.0)[:0], {}, codes.INVALID_PATH),
-        (broken, {}, codes.INVALID_PATH),
-        (line(0.0, 1.0), {"frame": "/map"}, codes.INVALID_PATH),
-        (line(0.0, 1.0), {"frame": "map"}, codes.TF_ERROR),
-        (line(0.0, 5.0), {}, codes.FAILED_TO_MAKE_PROGRESS),  # the odometry stands still
+    for poses, given, code, named in (
+        (line(0.0, 1.0), {"controller_id": "MPPI"}, codes.INVALID_CONTROLLER, "'MPPI'"),
+        (line(0.0, 1.0), {"goal_checker_id": "precise"}, codes.UNKNOWN, "'precise'"),
+        (line(0.0, 0.0)[:0], {}, codes.INVALID_PATH, "no poses"),
+        (broken, {}, codes.INVALID_PATH, "nan"),
+        (line(0.0, 1.0), {"frame": "/map"}, codes.INVALID_PATH, "'/map'"),
+        (line(0.0, 1.0), {"frame": "map"}, codes.TF_ERROR, "map"),
+        # The odometry stands still.
+        (line(0.0, 5.0), {}, codes.FAILED_TO_MAKE_PROGRESS, "moved less than 0.5 m"),
     ):
         assert planner.result(planner.send(poses, **given)) == (GoalStatus.STATUS_ABORTED, code)
+        assert named in planner.message
         assert not planner.commands or is_zero(planner.commands[-1])
     planner.send(line(0.0, 5.0))
     planner.until_moving()
