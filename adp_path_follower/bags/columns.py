@@ -4,29 +4,27 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from rosbags.typesys.store import Typestore
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.messages.cdr import MessageDecoder
+from adp_path_follower.messages.cdr import MessageDecoder, NumbersKind
 
 _BATCH = 4096  # messages that are decoded at once
-_TWIST = ("linear.x", "angular.z")
-_POSE = ("position.x", "position.y", *(f"orientation.{axis}" for axis in "xyzw"))
-# Type -> the fields whose numbers are read, and whether there is a header.
-FIELDS: dict[str, tuple[tuple[str, ...], bool]] = {
-    "nav_msgs/msg/Odometry": (
-        (*(f"pose.pose.{name}" for name in _POSE), *(f"twist.twist.{name}" for name in _TWIST)),
-        True,
+_POSE = (0, 1, 3, 4, 5, 6)  # x, y and quaternion among the numbers of a pose
+_TWIST = (0, 5)  # v and w among those of a twist
+_BEHIND_POSE = 43  # numbers of a pose with its covariance
+# Type -> its numbers, and which of them are read.
+KINDS = {
+    "nav_msgs/msg/Odometry": NumbersKind(
+        85, (*_POSE, *(_BEHIND_POSE + place for place in _TWIST)), texts=2
     ),
-    "geometry_msgs/msg/PoseStamped": (tuple(f"pose.{name}" for name in _POSE), True),
-    "geometry_msgs/msg/Vector3Stamped": (("vector.x", "vector.y", "vector.z"), True),
-    "geometry_msgs/msg/TwistStamped": (tuple(f"twist.{name}" for name in _TWIST), True),
-    "geometry_msgs/msg/Twist": (_TWIST, False),
-    "std_msgs/msg/Float64": (("data",), False),
-    "std_msgs/msg/Float64MultiArray": (("data",), False),
+    "geometry_msgs/msg/PoseStamped": NumbersKind(7, _POSE, texts=1),
+    "geometry_msgs/msg/Vector3Stamped": NumbersKind(3, texts=1),
+    "geometry_msgs/msg/TwistStamped": NumbersKind(6, _TWIST, texts=1),
+    "geometry_msgs/msg/Twist": NumbersKind(6, _TWIST),
+    "std_msgs/msg/Float64": NumbersKind(1),
+    "std_msgs/msg/Float64MultiArray": NumbersKind(None),
 }
 _WITH_POSE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
-_ARRAY = "std_msgs/msg/Float64MultiArray"
 
 
 @dataclass(frozen=True)
@@ -45,11 +43,11 @@ class Series:
 class Columns:
     """The numbers of one topic, as they come in."""
 
-    def __init__(self, store: Typestore, kind: str) -> None:
-        """Take the typestore that defines the messages, and their type, one of `FIELDS`."""
-        names, self._stamped = FIELDS[kind]
-        self._has_pose, self._is_array = kind in _WITH_POSE, kind == _ARRAY
-        self._decoder = MessageDecoder(store.fielddefs, kind, names, self._stamped)
+    def __init__(self, kind: str) -> None:
+        """Take the type of the messages, one of `KINDS`."""
+        self._has_pose, self._stamped = kind in _WITH_POSE, KINDS[kind].texts > 0
+        self._is_array = KINDS[kind].count is None
+        self._decoder = MessageDecoder(KINDS[kind])
         self._waiting: list[bytes] = []
         self._times: list[int] = []
         self._labels: tuple[str, ...] = ()
@@ -82,15 +80,15 @@ class Columns:
             (chosen, stamps, _planar(values) if self._has_pose else values)
             for chosen, stamps, values in self._decoder.decode(self._waiting)
         ]
-        if blocks and self._stamped and not self._count:
-            first = self._waiting[min(int(chosen[0]) for chosen, _, _ in blocks)]
-            self._frame = self._decoder.text(first, "header.frame_id")
         if blocks and self._values is None:
             self._values = np.zeros((0, _usual_width([values for _, _, values in blocks])))
-        if blocks and self._is_array and not self._labels:
-            first = self._waiting[min(int(chosen[0]) for chosen, _, _ in blocks)]
-            label = self._decoder.text(first, "layout.dim.0.label")
-            self._labels = tuple(label.split(", ")) if label else ()
+        if blocks:
+            first = min(int(chosen[0]) for chosen, _, _ in blocks)
+            text = self._decoder.text(self._waiting[first])
+            if self._stamped and not self._count:
+                self._frame = text
+            elif self._is_array and text and not self._labels:
+                self._labels = tuple(text.split(", "))
         self._gather(blocks, np.array(self._times, dtype=np.int64))
         self._waiting, self._times = [], []
 

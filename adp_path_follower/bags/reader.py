@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.columns import Columns, Series
 from adp_path_follower.bags.topics import SERIES, Choice, chosen_topics
@@ -182,18 +181,15 @@ class _Collector:
         self._columns: dict[str, Columns] = {}
         self._handlers: dict[int, Callable[[int, bytes], None]] = {}
         keys = {topic: key for key, topic in self._topics.items()}
-        stores: dict[str, Typestore] = {}
         for connection in reader.connections:
             key, kind = keys.get(connection.topic), connection.msgtype
             if key is None or kind != choice.kinds[key]:
                 continue
-            if kind not in stores:
-                stores[kind] = self._typestore(connection)
             if key in SERIES:
-                columns = self._columns.setdefault(key, Columns(stores[kind], kind))
+                columns = self._columns.setdefault(key, Columns(kind))
                 self._handlers[connection.id] = columns.take
             else:
-                self._handlers[connection.id] = self._handler(key, stores[kind], kind)
+                self._handlers[connection.id] = self._handler(key, kind)
 
     def take(self, connection: Connection, time: int, raw: bytes) -> None:
         """Take one message that arrived at a time [ns]."""
@@ -237,25 +233,7 @@ class _Collector:
             raise FileError(f"topic {topic}: none of its {total} messages can be decoded")
         self._notes.append(f"topic {topic}: {count} of {total} messages {reason}: passed over")
 
-    def _typestore(self, connection: Connection) -> Typestore:
-        """Return the types of a connection as its bag defines them, else those of ROS 2 Jazzy."""
-        store = get_typestore(Stores.EMPTY)
-        definition = connection.msgdef
-        try:
-            if definition.format.name == "MSG":
-                store.register(get_types_from_msg(definition.data, connection.msgtype))
-            elif definition.format.name == "IDL":
-                store.register(get_types_from_idl(definition.data))
-        except Exception:  # whatever a parser makes of a damaged text
-            self._notes.append(
-                f"the definition of {connection.msgtype} in the bag cannot be read: that of "
-                "ROS 2 Jazzy was taken"
-            )
-            return get_typestore(Stores.ROS2_JAZZY)
-        known = connection.msgtype in store.fielddefs
-        return store if known else get_typestore(Stores.ROS2_JAZZY)
-
-    def _handler(self, key: str, store: Typestore, kind: str) -> Callable[[int, bytes], None]:
+    def _handler(self, key: str, kind: str) -> Callable[[int, bytes], None]:
         """Return what takes the messages of a topic that is not a series of numbers."""
         take = {
             "path": self._take_path,
@@ -265,7 +243,7 @@ class _Collector:
             "diagnostics": self._take_diagnostics,
         }[key]
 
-        is_path = kind == "nav_msgs/msg/Path"
+        is_path, store = kind == "nav_msgs/msg/Path", get_typestore(Stores.ROS2_JAZZY)
 
         def handle(time: int, raw: bytes) -> None:
             if is_path and raw == self._last_path:  # published again, unchanged

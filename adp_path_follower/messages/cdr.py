@@ -1,76 +1,80 @@
 """Read numbers out of serialised messages, thousands at once.
 
 Messages of one topic differ in their numbers, and hardly ever in the lengths of their strings and
-sequences. So where a field lies is found once, by following the message definition that the bag
-itself holds, and then read from all messages of the same lengths in one step.
+sequences. So where the numbers lie is found once, and then read from all messages of the same
+lengths in one step.
 """
 
 import struct
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from rosbags.interfaces import Nodetype
 
 from adp_path_follower.core.geometry import FloatArray
 
-_FORMATS = {  # type of a field -> numpy's name of it
-    "bool": "?",
-    **dict.fromkeys(("byte", "char", "octet", "uint8"), "u1"),
-    "int8": "i1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "int64": "i8",
-    "uint64": "u8",
-    "float32": "f4",
-    "float64": "f8",
-}
-_HEADER = 4  # bytes of encapsulation before the first field
+HEADER = 4  # bytes of encapsulation before the first field
+STAMP = 8  # bytes
+_NUMBER = 8  # bytes
 
 
 class CdrError(ValueError):
     """Report bytes that are not a message of the given definition."""
 
 
+def byte_order(raw: bytes) -> str:
+    """Return the byte order of a serialised message; CdrError if it is none."""
+    if len(raw) < HEADER or raw[0] != 0 or raw[1] not in (0, 1):
+        raise CdrError("no CDR encapsulation")
+    return "<" if raw[1] else ">"
+
+
+def aligned(at: int, size: int) -> int:
+    """Return the next place at a multiple of a size [bytes]."""
+    return at + -(at - HEADER) % size
+
+
+def text_at(raw: bytes, at: int, order: str) -> tuple[str, int]:
+    """Return a string, and where it ends; CdrError or struct.error if the message is too short."""
+    (size,) = struct.unpack_from(f"{order}I", raw, at)
+    end = at + 4 + size
+    if end > len(raw):
+        raise too_short()
+    return raw[at + 4 : end].rstrip(b"\0").decode(errors="replace"), end
+
+
+def too_short() -> CdrError:
+    """Return the error of a message that ends before its last field."""
+    return CdrError("the message is shorter than its fields")
+
+
 @dataclass(frozen=True)
-class _Place:
-    """Where a field lies: numbers have a format and a count, strings the format "S"."""
+class NumbersKind:
+    """A type of message that is numbers, 64 bits each, behind a header or a layout."""
 
-    offset: int
-    form: str
-    count: int = 1
+    count: int | None  # how many there are; None for those of an array, which says it
+    columns: tuple[int, ...] | None = None  # which of them are read; None for all
+    texts: int = 0  # frames before the numbers, the first of them in a header
 
 
-@dataclass
-class _Layout:
-    """The places of all fields of a message, and of the lengths that decide about them."""
+class _Layout(NamedTuple):
+    """Where the numbers of a message lie."""
 
     order: str
-    places: dict[str, _Place] = field(default_factory=dict)
-    lengths: list[int] = field(default_factory=list)
+    lengths: tuple[int, ...]  # places of the lengths that decide about it
+    start: int
+    numbers: int  # how many there are
+    text: str  # the frame of a header, or the label of an array
 
 
 class MessageDecoder:
-    """Reads some fields of the messages of one type."""
+    """Reads the numbers of messages of one type."""
 
-    def __init__(
-        self,
-        definitions: Mapping[str, Any],
-        type_name: str,
-        names: Sequence[str],
-        stamped: bool,
-    ) -> None:
-        """Take the fields to read, as in "pose.position.x"; the last one may be a sequence.
-
-        `definitions` has type name -> constants and fields, as rosbags' typestores have them;
-        `stamped` messages have a header, whose stamp is read.
-        """
-        self._definitions, self._type_name = definitions, type_name
-        self._names, self._stamped = tuple(names), stamped
-        self.broken = 0  # messages that were not of the definition
+    def __init__(self, kind: NumbersKind) -> None:
+        """Take the type."""
+        self._kind = kind
+        self.broken = 0  # messages that were not of the type
 
     def decode(self, messages: Sequence[bytes]) -> list[tuple[np.ndarray, np.ndarray, FloatArray]]:
         """Return the numbers of messages, in blocks of equal layout.
@@ -101,110 +105,55 @@ class MessageDecoder:
             rest = rest[~np.isin(rest, chosen)]
         return blocks
 
-    def text(self, message: bytes, name: str) -> str:
-        """Return a string field of a message, empty if it has none of that name."""
-        try:
-            place = self._layout(message).places.get(name)
-        except (CdrError, struct.error):
-            return ""
-        if place is None or place.form != "S":
-            return ""
-        content = message[place.offset : place.offset + place.count]
-        return content.rstrip(b"\0").decode(errors="replace")
+    def text(self, message: bytes) -> str:
+        """Return the frame in a sound message's header, or the label of an array's numbers."""
+        return self._layout(message).text
 
     def _read(self, matrix: np.ndarray, layout: _Layout) -> tuple[np.ndarray, FloatArray]:
         """Return stamps and values of messages of one layout, one a row of bytes."""
-        count, size = matrix.shape
+        rows, size = matrix.shape
 
-        def column(name: str) -> np.ndarray:
-            place = layout.places[name]
-            form = np.dtype(layout.order + place.form)
-            return np.ndarray(
-                (count, place.count),
-                form,
-                matrix,
-                place.offset,
-                (size, form.itemsize),
-            )
+        def column(form: str, at: int) -> np.ndarray:
+            return np.ndarray((rows,), layout.order + form, matrix, at, (size,))
 
-        stamps = np.zeros(count, dtype=np.int64)
-        if self._stamped:
-            stamps += column("header.stamp.sec")[:, 0].astype(np.int64) * 1_000_000_000
-            stamps += column("header.stamp.nanosec")[:, 0]
-        columns = [column(name) for name in self._names]
-        return stamps, np.concatenate(columns, axis=1, dtype=np.float64)
+        stamps = np.zeros(rows, dtype=np.int64)
+        if self._kind.texts:
+            stamps += column("i4", HEADER).astype(np.int64) * 1_000_000_000
+            stamps += column("u4", HEADER + 4)
+        shape, strides = (rows, layout.numbers), (size, _NUMBER)
+        numbers = np.ndarray(shape, f"{layout.order}f8", matrix, layout.start, strides)
+        columns = self._kind.columns
+        chosen = numbers if columns is None else numbers[:, columns]
+        return stamps, chosen.astype(float)
 
     def _layout(self, message: bytes) -> _Layout:
-        """Return the places of a message's fields; CdrError if it is too short or lacks one."""
-        if len(message) < _HEADER or message[0] != 0 or message[1] not in (0, 1):
-            raise CdrError("no CDR encapsulation")
-        layout = _Layout("<" if message[1] else ">")
-        _Walk(self._definitions, message, layout).message(self._type_name, "")
-        for name in self._names:
-            place = layout.places.get(name)
-            if place is None or place.form == "S":
-                raise CdrError(f"{self._type_name} has no numbers '{name}'")
-        return layout
+        """Return where the numbers of a message lie; CdrError if it is too short."""
+        order = byte_order(message)
+        lengths: list[int] = []
+        found: list[str] = []
 
+        def text(at: int) -> int:
+            lengths.append(aligned(at, 4))
+            content, end = text_at(message, lengths[-1], order)
+            found.append(content)
+            return end
 
-class _Walk:
-    """A walk over the fields of one message."""
+        def length(at: int) -> int:
+            lengths.append(at)
+            (count,) = struct.unpack_from(f"{order}I", message, at)
+            return int(count)
 
-    def __init__(self, definitions: Mapping[str, Any], message: bytes, layout: _Layout) -> None:
-        self._definitions, self._message, self._layout = definitions, message, layout
-        self._at = _HEADER
-
-    def message(self, type_name: str, prefix: str) -> None:
-        if type_name not in self._definitions:
-            raise CdrError(f"unknown type {type_name}")
-        for name, description in self._definitions[type_name][1]:
-            self._field(f"{prefix}{name}", description)
-
-    def _field(self, name: str, description: Any) -> None:
-        kind, detail = description
-        if kind == Nodetype.BASE:
-            self._base(name, detail[0], 1)
-        elif kind == Nodetype.NAME:
-            self.message(detail, f"{name}.")
-        else:
-            item, count = detail
-            if kind == Nodetype.SEQUENCE:
-                count = self._length()
-            # A declared length beyond the message would let the loop below run for hours.
-            if count > len(self._message):
-                raise CdrError("a sequence is longer than its message")
-            if item[0] == Nodetype.BASE and item[1][0] in _FORMATS:
-                self._base(name, item[1][0], count)
-            else:
-                for number in range(count):
-                    self._field(f"{name}.{number}", item)
-
-    def _base(self, name: str, kind: str, count: int) -> None:
-        """Walk over one number or string, or over numbers in a row."""
-        if kind == "string":
-            size = self._length()
-            self._put(name, "S", 1, size)
-        elif kind in _FORMATS:
-            form = _FORMATS[kind]
-            size = 1 if form == "?" else int(form[1])
-            if count:
-                self._align(size)
-            self._put(name, form, size, count)
-        else:
-            raise CdrError(f"fields of type {kind} are not supported")
-
-    def _put(self, name: str, form: str, size: int, count: int) -> None:
-        self._layout.places[name] = _Place(self._at, form, count)
-        self._at += size * count
-        if self._at > len(self._message):
-            raise CdrError("the message is shorter than its fields")
-
-    def _length(self) -> int:
-        self._align(4)
-        (length,) = struct.unpack_from(f"{self._layout.order}I", self._message, self._at)
-        self._layout.lengths.append(self._at)
-        self._at += 4
-        return int(length)
-
-    def _align(self, size: int) -> None:
-        self._at += -(self._at - _HEADER) % size
+        at, count = HEADER, self._kind.count
+        if self._kind.texts:
+            at += STAMP
+        for _ in range(self._kind.texts):
+            at = text(at)
+        if count is None:
+            dimensions, at = length(at), at + 4
+            for _ in range(dimensions):
+                at = aligned(text(at), 4) + 8  # behind size and stride
+            count, at = length(aligned(at, 4) + 4), aligned(at, 4) + 8  # behind data_offset
+        start = aligned(at, _NUMBER) if count else at
+        if start + _NUMBER * count > len(message):
+            raise too_short()
+        return _Layout(order, tuple(lengths), start, count, found[0] if found else "")

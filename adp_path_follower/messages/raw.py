@@ -14,11 +14,17 @@ from typing import NamedTuple
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
-from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.cdr import (
+    HEADER,
+    STAMP,
+    CdrError,
+    aligned,
+    byte_order,
+    text_at,
+    too_short,
+)
 
-_HEADER = 4  # bytes of encapsulation before the first field
 _LITTLE_ENDIAN = b"\0\1\0\0"  # the encapsulation
-_STAMP = 8  # bytes
 _POSE = 56  # bytes: seven numbers
 _TWIST = 48  # bytes: six numbers
 _COVARIANCE = 288  # bytes: thirty-six numbers
@@ -40,11 +46,11 @@ def read_path(raw: bytes) -> PathPoses:
     """Return the content of a serialised nav_msgs/Path; raise CdrError if it is none."""
     frame, at, order = _header(raw)
     try:
-        at = _aligned(at, 4)
+        at = aligned(at, 4)
         (count,) = struct.unpack_from(f"{order}I", raw, at)
         numbers = _numbers(raw, at + 4, int(count), order)
     except struct.error:
-        raise _too_short() from None
+        raise too_short() from None
     return PathPoses(frame, _planar(numbers))
 
 
@@ -65,16 +71,16 @@ def read_odometry(raw: bytes) -> OdometryNumbers:
     """Return the content of a serialised nav_msgs/Odometry; raise CdrError if it is none."""
     frame, at, order = _header(raw)
     try:
-        child_frame, at = _text(raw, _aligned(at, 4), order)
-        at = _aligned(at, 8)
+        child_frame, at = text_at(raw, aligned(at, 4), order)
+        at = aligned(at, 8)
         pose = struct.unpack_from(f"{order}7d", raw, at)
         at += _POSE + _COVARIANCE
         twist = struct.unpack_from(f"{order}6d", raw, at)
-        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, _HEADER)
+        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, HEADER)
     except struct.error:
-        raise _too_short() from None
+        raise too_short() from None
     if at + _TWIST + _COVARIANCE > len(raw):
-        raise _too_short()
+        raise too_short()
     return OdometryNumbers(
         seconds, nanoseconds, frame, child_frame, pose[:3], pose[3:], twist[0], twist[5]
     )
@@ -91,21 +97,21 @@ class Transform(NamedTuple):
 
 def read_transforms(raw: bytes) -> list[Transform]:
     """Return the content of a serialised tf2_msgs/TFMessage; raise CdrError if it is none."""
-    order = _order(raw)
-    found, at = [], _HEADER + 4
+    order = byte_order(raw)
+    found, at = [], HEADER + 4
     try:
-        (count,) = struct.unpack_from(f"{order}I", raw, _HEADER)
+        (count,) = struct.unpack_from(f"{order}I", raw, HEADER)
         for _ in range(count):
-            at = _aligned(at, 4)
+            at = aligned(at, 4)
             seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, at)
-            parent, at = _text(raw, at + _STAMP, order)
-            child, at = _text(raw, _aligned(at, 4), order)
-            x, y, _, *turn = struct.unpack_from(f"{order}7d", raw, _aligned(at, 8))
-            at = _aligned(at, 8) + _POSE
+            parent, at = text_at(raw, at + STAMP, order)
+            child, at = text_at(raw, aligned(at, 4), order)
+            x, y, _, *turn = struct.unpack_from(f"{order}7d", raw, aligned(at, 8))
+            at = aligned(at, 8) + _POSE
             pose = x, y, yaw_of_quaternion(*turn)
             found.append(Transform(seconds * _NANOSECONDS + nanoseconds, parent, child, pose))
     except struct.error:
-        raise _too_short() from None
+        raise too_short() from None
     return found
 
 
@@ -145,7 +151,7 @@ def frame_of(raw: bytes) -> str:
 
 def is_empty(raw: bytes) -> bool:
     """Return whether a serialised nav_msgs/Path is sound and has no poses, at once."""
-    if len(raw) > _HEADER + _STAMP + 8 + 1024:  # longer than any header
+    if len(raw) > HEADER + STAMP + 8 + 1024:  # longer than any header
         return False
     try:
         return not len(read_path(raw).poses)
@@ -153,42 +159,18 @@ def is_empty(raw: bytes) -> bool:
         return False
 
 
-def _too_short() -> CdrError:
-    return CdrError("the message is shorter than its fields")
-
-
 def _header(raw: bytes) -> tuple[str, int, str]:
     """Return the frame, where the header ends, and the byte order; CdrError without a header."""
-    order = _order(raw)
+    order = byte_order(raw)
     try:
-        return *_text(raw, _HEADER + _STAMP, order), order
+        return *text_at(raw, HEADER + STAMP, order), order
     except struct.error:
-        raise _too_short() from None
-
-
-def _order(raw: bytes) -> str:
-    """Return the byte order of a serialised message; CdrError if it is none."""
-    if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
-        raise CdrError("no CDR encapsulation")
-    return "<" if raw[1] else ">"
-
-
-def _aligned(at: int, size: int) -> int:
-    return at + -(at - _HEADER) % size
-
-
-def _text(raw: bytes, at: int, order: str) -> tuple[str, int]:
-    """Return a string, and where it ends."""
-    (size,) = struct.unpack_from(f"{order}I", raw, at)
-    end = at + 4 + size
-    if end > len(raw):
-        raise _too_short()
-    return raw[at + 4 : end].rstrip(b"\0").decode(errors="replace"), end
+        raise too_short() from None
 
 
 def _numbers(raw: bytes, at: int, count: int, order: str) -> FloatArray:
     """Return the seven numbers of each pose, shape (count, 7), from where the first one starts."""
-    if count * (_STAMP + _POSE) > len(raw):  # a damaged count must not ask for memory
+    if count * (STAMP + _POSE) > len(raw):  # a damaged count must not ask for memory
         raise CdrError("a sequence is longer than its message")
     if not count:
         return np.zeros((0, 7))
@@ -196,11 +178,11 @@ def _numbers(raw: bytes, at: int, count: int, order: str) -> FloatArray:
     if places is None:
         places = np.empty(count, dtype=np.int64)
         for number in range(count):
-            _, end = _text(raw, _aligned(at, 4) + _STAMP, order)
-            places[number] = _aligned(end, 8)
+            _, end = text_at(raw, aligned(at, 4) + STAMP, order)
+            places[number] = aligned(end, 8)
             at = int(places[number]) + _POSE
     if places[-1] + _POSE > len(raw):
-        raise _too_short()
+        raise too_short()
     step = int(places[1] - places[0]) if count > 1 else _POSE
     if count == 1 or (np.diff(places) == step).all():
         found = np.ndarray((count, 7), f"{order}f8", raw, int(places[0]), (step, 8))
@@ -211,15 +193,15 @@ def _numbers(raw: bytes, at: int, count: int, order: str) -> FloatArray:
 
 def _even_places(raw: bytes, at: int, count: int, order: str) -> np.ndarray | None:
     """Return where the numbers lie if all frame names are as long as the first, else None."""
-    first_length = _aligned(at, 4) + _STAMP
-    _, end = _text(raw, first_length, order)
-    place = _aligned(end, 8)
+    first_length = aligned(at, 4) + STAMP
+    _, end = text_at(raw, first_length, order)
+    place = aligned(end, 8)
     # A pose ends at a multiple of 8, so all that follow lie like the second.
-    following = place + _POSE + _STAMP
+    following = place + _POSE + STAMP
     if count == 1 or following + 4 > len(raw):
         return np.array([place]) if count == 1 else None
-    _, end = _text(raw, following, order)
-    step = _aligned(end, 8) - place
+    _, end = text_at(raw, following, order)
+    step = aligned(end, 8) - place
     if place + (count - 1) * step + _POSE > len(raw):
         return None
     lengths = np.ndarray((count - 1,), f"{order}u4", raw, following, (step,))

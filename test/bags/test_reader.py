@@ -9,9 +9,11 @@ import sqlite3
 import numpy as np
 import pytest
 import yaml
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from adp_path_follower.bags.columns import KINDS
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import FileError
@@ -42,7 +44,7 @@ def small_run(stamped: bool = True):
         yield "/cmd_vel", time + 1000, command
 
 
-KINDS = {
+STORAGES = {
     "mcap": {},
     "sqlite3": {"storage": StoragePlugin.SQLITE3},
     "sqlite3 messages": {
@@ -57,9 +59,9 @@ KINDS = {
 
 
 @pytest.mark.parametrize("stamped", [True, False], ids=["TwistStamped", "Twist"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", STORAGES)
 def test_every_kind_of_bag_gives_the_same_numbers(tmp_path, kind, stamped):
-    bag = write_foreign(tmp_path / "bag", small_run(stamped), **KINDS[kind])
+    bag = write_foreign(tmp_path / "bag", small_run(stamped), **STORAGES[kind])
     run = read_run(bag)
     odom, commands = run.series["odom"], run.series["cmd_vel"]
     assert odom.values == pytest.approx(
@@ -257,23 +259,64 @@ def test_arrays_keep_their_labels_and_their_width(tmp_path):
     assert run.series["critic_weights"].stamp.tolist() == [1, 3]
 
 
-def test_fields_are_read_as_the_library_reads_them():
-    """Every number of random messages, by both byte orders."""
+@pytest.mark.parametrize("little_endian", [True, False])
+@pytest.mark.parametrize("kind", KINDS)
+def test_numbers_are_read_as_the_library_reads_them(kind, little_endian):
+    """Random numbers in every field of every type that is read."""
     random = np.random.default_rng(1)
-    kind = "nav_msgs/msg/Odometry"
-    names = ("pose.covariance", "twist.twist.angular.z")
-    for order in (True, False):
-        decoder = MessageDecoder(STORE.fielddefs, kind, names, True)
-        messages, expected = [], []
-        for number in range(20):
-            message = odometry(number * SECOND + 7, 0.0, 0.0, 0.0, w=random.normal())
-            message.pose.covariance[:] = random.normal(size=36)
-            messages.append(bytes(STORE.serialize_cdr(message, kind, little_endian=order)))
-            expected.append([*message.pose.covariance, message.twist.twist.angular.z])
-        ((chosen, stamps, values),) = decoder.decode(messages)
-        assert chosen.tolist() == list(range(20))
-        assert stamps.tolist() == [number * SECOND + 7 for number in range(20)]
-        assert values.tolist() == expected
+    decoder = MessageDecoder(KINDS[kind])
+    messages, expected = [], []
+    for number in range(20):
+        message = random_message(kind, random)
+        if hasattr(message, "header"):
+            message.header.stamp.sec, message.header.stamp.nanosec = number, 7
+            message.header.frame_id = "odom"
+        messages.append(bytes(STORE.serialize_cdr(message, kind, little_endian=little_endian)))
+        expected.append([number_of(message, name) for name in READ[kind]])
+    ((chosen, stamps, values),) = decoder.decode(messages)
+    assert chosen.tolist() == list(range(20))
+    has_header = KINDS[kind].texts > 0
+    assert stamps.tolist() == [(number * SECOND + 7) * has_header for number in range(20)]
+    assert values.tolist() == expected
+    assert decoder.text(messages[0]) == ("odom" if has_header else "")
+
+
+def random_message(kind, random):
+    """Return a message of the library's type with random numbers in all fields."""
+    found = {}
+    for name, (node, content) in STORE.fielddefs[kind][1]:
+        if node == Nodetype.NAME:
+            found[name] = random_message(content, random)
+        elif node == Nodetype.ARRAY:
+            found[name] = random.normal(size=content[1])
+        elif node == Nodetype.SEQUENCE:
+            found[name] = random.normal(size=5) if name == "data" else []
+        else:
+            found[name] = {"string": "base_link", "float64": random.normal()}.get(content[0], 0)
+    return STORE.types[kind](**found)
+
+
+def number_of(message, name):
+    """Return a number of a message, as "twist.linear.x", or "data.3" of a sequence."""
+    for part in name.split("."):
+        message = message[int(part)] if part.isdigit() else getattr(message, part)
+    return message
+
+
+POSE = ("position.x", "position.y", *(f"orientation.{axis}" for axis in "xyzw"))
+TWIST = ("linear.x", "angular.z")
+READ = {
+    "nav_msgs/msg/Odometry": (
+        *(f"pose.pose.{name}" for name in POSE),
+        *(f"twist.twist.{name}" for name in TWIST),
+    ),
+    "geometry_msgs/msg/PoseStamped": tuple(f"pose.{name}" for name in POSE),
+    "geometry_msgs/msg/Vector3Stamped": ("vector.x", "vector.y", "vector.z"),
+    "geometry_msgs/msg/TwistStamped": tuple(f"twist.{name}" for name in TWIST),
+    "geometry_msgs/msg/Twist": TWIST,
+    "std_msgs/msg/Float64": ("data",),
+    "std_msgs/msg/Float64MultiArray": tuple(f"data.{place}" for place in range(5)),
+}
 
 
 def test_progress_is_reported(tmp_path):
