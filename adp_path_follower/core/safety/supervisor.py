@@ -67,83 +67,52 @@ class Supervisor:
     """
 
     def __init__(self, odom_timeout: float) -> None:
-        """Start without path and odometry; `odom_timeout` [s] may be changed later."""
-        self.odom_timeout = odom_timeout
+        """Start without path and odometry."""
+        self.odom_timeout = odom_timeout  # [s]; may be changed
         self.active = False
+        self.tick_time: float | None = None  # of the last turn of the control timer
+        self.clock_missing = False  # whether there is no clock for the control steps yet
+        # Why the robot may not drive, empty if it may; the first two hold until `resume`.
+        self.deviation = ""  # it is farther from the path than the user allows
+        self.goal_problem = ""  # it will not get to the end of the path
+        self.command_problem = ""  # no sound command could be found for the last odometry
+        self.limit_problem = ""  # the last speed limit cannot hold
+        self.transform_problem = ""  # the robot is not known in the frame of the path
+        self.goal_reached = False
         self._odometry_time: float | None = None
-        self._tick_time: float | None = None
         self._odometry_problem = ""
         self._sound_since: float | None = None  # after wrong odometry
-        self._command_problem = ""
-        self._limit_problem = ""
-        self._transform_problem = ""
-        self._deviation = ""
-        self._clock_missing = False
         self._has_path = False
-        self._goal_reached = False
-        self._goal_problem = ""
         self._stopped = False
 
     def renewed(self) -> Supervisor:
         """Return a supervisor without path and odometry that keeps the causes to `resume`."""
         other = Supervisor(self.odom_timeout)
-        other._stopped, other._deviation = self._stopped, self._deviation
+        other._stopped, other.deviation = self._stopped, self.deviation
         return other
 
     def odometry_received(self, now: float, problem: OdometryProblem | None = None) -> None:
         """Note a message and its problem, None if it is sound."""
         self._odometry_time = now
-        self._command_problem = ""
+        self.command_problem = ""
         if problem is not None:
             self._odometry_problem, self._sound_since = problem.text, None
             if problem.lasts:
-                self._deviation = problem.text
+                self.deviation = problem.text
         elif self._odometry_problem:
             if self._sound_since is None:
                 self._sound_since = now
             if now - self._sound_since >= _SETTLED:
                 self._odometry_problem = ""
 
-    def tick(self, now: float) -> None:
-        """Note a turn of the control timer."""
-        self._tick_time = now
-
-    def clock_missing(self, missing: bool) -> None:
-        """Note whether the clock of the control steps is still missing."""
-        self._clock_missing = missing
-
     def path_received(self) -> None:
         """Note a new path."""
         self._has_path = True
-        self._goal_reached, self._goal_problem = False, ""
+        self.goal_reached, self.goal_problem = False, ""
 
     def path_removed(self) -> None:
         """Note that there is no path any more."""
         self._has_path = False
-
-    def goal_reached(self) -> None:
-        """Note that the end of the path is reached."""
-        self._goal_reached = True
-
-    def goal_missed(self, problem: str) -> None:
-        """Note that the robot will not get to the end of the path."""
-        self._goal_problem = problem
-
-    def command_refused(self, problem: str) -> None:
-        """Note that no sound command could be found for the last odometry."""
-        self._command_problem = problem
-
-    def speed_limit_refused(self, problem: str) -> None:
-        """Note why the last speed limit cannot hold, empty if it does."""
-        self._limit_problem = problem
-
-    def transform_missing(self, problem: str) -> None:
-        """Note why the robot is not known in the frame of the path, empty if it is."""
-        self._transform_problem = problem
-
-    def deviated(self, problem: str) -> None:
-        """Note that the robot is further from the path than the user allows."""
-        self._deviation = problem
 
     def stop(self) -> None:
         """Stop on request."""
@@ -151,7 +120,7 @@ class Supervisor:
 
     def resume(self) -> None:
         """Go on after a stop, or after the robot was too far from the path."""
-        self._stopped, self._deviation, self._goal_problem = False, "", ""
+        self._stopped, self.deviation, self.goal_problem = False, "", ""
 
     def status(self, now: float) -> Status:
         """Return the state at a steady time [s]."""
@@ -163,13 +132,13 @@ class Supervisor:
 
     def patience(self, now: float) -> float:
         """Return how long inputs may stay silent [s] from a steady time [s] on."""
-        heard = (self._odometry_time, self._tick_time)
+        heard = (self._odometry_time, self.tick_time)
         oldest = min((time for time in heard if time is not None), default=now)
         return oldest + self.odom_timeout - now
 
     def _waiting(self) -> Status | None:
         """Return the status of a missing input, None if there is none."""
-        if self._clock_missing:
+        if self.clock_missing:
             return Status(
                 State.WAITING,
                 "no time on /clock",
@@ -181,9 +150,9 @@ class Supervisor:
             return Status(
                 State.WAITING, "no odometry", "publish nav_msgs/Odometry on 'odom', or remap it"
             )
-        if self._transform_problem:
+        if self.transform_problem:
             remedy = "the robot resumes with the transform"
-            return Status(State.WAITING, self._transform_problem, remedy, Kind.TRANSFORM)
+            return Status(State.WAITING, self.transform_problem, remedy, Kind.TRANSFORM)
         return None
 
     def _fault(self, now: float) -> Status | None:
@@ -198,14 +167,14 @@ class Supervisor:
                 Kind.INPUT,
             ),
             (
-                self._tick_time is not None and now - self._tick_time > timeout,
+                self.tick_time is not None and now - self.tick_time > timeout,
                 f"no control step for more than {timeout:g} s",
                 "check /clock, which may stand still; the robot resumes with it",
                 Kind.LATE,
             ),
             (
-                bool(self._deviation),
-                self._deviation,
+                bool(self.deviation),
+                self.deviation,
                 f"check the robot, then {_RESUME}",
                 Kind.DEVIATION,
             ),
@@ -216,20 +185,20 @@ class Supervisor:
                 Kind.INPUT,
             ),
             (
-                bool(self._command_problem),
-                self._command_problem,
+                bool(self.command_problem),
+                self.command_problem,
                 "the robot resumes with the next odometry",
                 Kind.COMMAND,
             ),
             (
-                bool(self._limit_problem),
-                self._limit_problem,
+                bool(self.limit_problem),
+                self.limit_problem,
                 "the robot resumes with a speed limit above 0; to stop it, call ~/stop",
                 Kind.INPUT,
             ),
             (
-                bool(self._goal_problem),
-                self._goal_problem,
+                bool(self.goal_problem),
+                self.goal_problem,
                 f"publish another path, or {_RESUME} to try again",
                 Kind.PROGRESS,
             ),
@@ -240,6 +209,6 @@ class Supervisor:
         return None
 
     def _going(self) -> Status:
-        if self._goal_reached:
+        if self.goal_reached:
             return Status(State.GOAL_REACHED, "end of the path", "publish another path")
         return Status(State.FOLLOWING)

@@ -205,7 +205,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _answer_speed_limit(self, problem: str) -> None:
         """Let the robot stand while the last limit cannot hold: who sent it may want that."""
-        self._supervisor.speed_limit_refused(problem)
+        self._supervisor.limit_problem = problem
         self._update_status()
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
@@ -243,7 +243,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     # Control
 
     def _on_timer(self) -> None:
-        self._supervisor.tick(steady.monotonic())
+        self._supervisor.tick_time = steady.monotonic()
         self._control(self._now())
 
     def _control(self, time: int) -> None:
@@ -253,7 +253,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _command(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
-        self._supervisor.transform_missing(self._configured.path.missing_frame())
+        self._supervisor.transform_problem = self._configured.path.missing_frame()
         if self._update_status().state is not State.FOLLOWING:
             return
         parts, measurement = self._configured, self._configured.odometry.measurement
@@ -270,7 +270,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         pose, motion = measurement.pose_at(time), measurement.motion_at(time)
         jumped = parts.frame.correct(pose, frame)
         if jumped:
-            self._supervisor.deviated(jumped)
+            self._supervisor.deviation = jumped
             self._update_status()
             return
         pose = parts.frame.located(pose, float(motion[0]), frame)
@@ -286,14 +286,14 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._last_command, self._step_time = output.command, time
         too_far = deviation(output.error, self.settings.controller)
         if too_far:
-            self._supervisor.deviated(too_far)
+            self._supervisor.deviation = too_far
             self._update_status()
         else:
             parts.commands.send(output.command, time)
         self._tell(time, frame, (pose, motion), output)
 
     def _refuse_command(self, problem: str) -> None:
-        self._supervisor.command_refused(problem)
+        self._supervisor.command_problem = problem
         self._update_status()
 
     def _command_problem(self, output: FollowerOutput) -> str:
@@ -316,10 +316,10 @@ class PathFollowerNode(Ending, LifecycleNode):
         parts.telemetry.step(time, frame, measured, output, float(follower.cost))
         parts.telemetry.markers(time, frame, route, output)
         if self._driver.at_goal:
-            self._supervisor.goal_reached()
+            self._supervisor.goal_reached = True
             parts.frame.accept()
         elif follower.goal.problem:
-            self._supervisor.goal_missed(follower.goal.problem)
+            self._supervisor.goal_problem = follower.goal.problem
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -330,15 +330,15 @@ class PathFollowerNode(Ending, LifecycleNode):
         parts.path.retry()
         clock_time = self._now()
         by_timer = self.settings.controller.control_trigger == "timer"
-        self._supervisor.clock_missing(by_timer and clock_time == 0)
+        self._supervisor.clock_missing = by_timer and clock_time == 0
         if clock_time < self._clock_time and by_timer:
-            self._supervisor.command_refused("the clock went back")
+            self._supervisor.command_problem = "the clock went back"
         self._clock_time = clock_time
-        self._supervisor.transform_missing(parts.path.missing_frame())
+        self._supervisor.transform_problem = parts.path.missing_frame()
         pose = parts.odometry.pose if self.status.state is State.FOLLOWING else None
         stuck = self._progress.problem(1e-9 * clock_time, pose, self.settings.navigation)
         if stuck:
-            self._supervisor.goal_missed(stuck)
+            self._supervisor.goal_problem = stuck
         following = self._update_status().state is State.FOLLOWING
         parts.action.look()
         if self._supervisor.active and not following:

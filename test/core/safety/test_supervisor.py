@@ -51,10 +51,10 @@ def played(events):
             facts.update(odometry=now, problem=True, sound_since=None, deviated=True)
             refused = False
         elif event == "no limit":
-            supervisor.speed_limit_refused("speed limit is 0")
+            supervisor.limit_problem = "speed limit is 0"
             facts["limit"] = False
         elif event == "limit":
-            supervisor.speed_limit_refused("")
+            supervisor.limit_problem = ""
             facts["limit"] = True
         elif event == "renew":
             supervisor = supervisor.renewed()
@@ -63,13 +63,13 @@ def played(events):
         elif event in ("wait", "long wait"):
             now += 0.25 if event == "wait" else 0.6
         elif event == "goal":
-            supervisor.goal_reached()
+            supervisor.goal_reached = True
             facts["goal"] = True
         elif event == "tick":
-            supervisor.tick(now)
+            supervisor.tick_time = now
             facts["tick"] = now
         elif event in ("no clock", "clock"):
-            supervisor.clock_missing(event == "no clock")
+            supervisor.clock_missing = event == "no clock"
             facts["clock"] = event == "clock"
         elif event == "stop":
             supervisor.stop()
@@ -78,10 +78,10 @@ def played(events):
             supervisor.resume()
             facts.update(stopped=False, deviated=False)
         elif event == "too far":
-            supervisor.deviated("cross-track error is 2 m")
+            supervisor.deviation = "cross-track error is 2 m"
             facts["deviated"] = True
         else:
-            supervisor.command_refused("command is not finite")
+            supervisor.command_problem = "command is not finite"
             refused = True
     return supervisor, now, {**facts, "refused": refused}
 
