@@ -2,9 +2,9 @@
 
 import functools
 import re
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -91,38 +91,41 @@ def _fields(frame: HalfTurn) -> Numbers:
     return frame.a, frame.b, frame.cos, frame.sin
 
 
-class Basis(Protocol):
+class Basis(ABC):
     """The interface of a basis for the learner."""
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Return the name of each term, length L."""
+    labels: tuple[str, ...]  # name of each term, such as "s y" or "θ²", length L
+    depends_on_path_state = False  # whether phi is among the variables
 
-    def value(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma at states of shape (..., 4), shape (..., L)."""
-
-    @property
-    def depends_on_path_state(self) -> bool:
-        """Return whether phi is among the variables."""
-
-    def gradient(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
-
+    @abstractmethod
     def expansion(self, zeta: FloatArray) -> Expansion:
         """Return sigma and the parts of sigma' at states of shape (..., 4)."""
 
+    def value(self, zeta: FloatArray) -> FloatArray:
+        """Return sigma at states of shape (..., 4), shape (..., L)."""
+        return self.expansion(zeta).value
+
+    def gradient(self, zeta: FloatArray) -> FloatArray:
+        """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
+        return self.expansion(zeta).gradient
+
+    @abstractmethod
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
 
 
-class QuadraticBasis:
+class QuadraticBasis(Basis):
     """A basis of products of two states, and of single states."""
 
     def __init__(
         self, products: tuple[tuple[int, int], ...], singles: tuple[int, ...] = ()
     ) -> None:
         """Take a pair (i, j) for each term zeta_i zeta_j, and an i for each single zeta_i."""
-        self._products, self._singles = products, singles
+        names = STATE_LABELS
+        squares = [f"{names[i]}²" if i == j else f"{names[i]} {names[j]}" for i, j in products]
+        self.labels = (*squares, *(names[i] for i in singles))
+        self.depends_on_path_state = any(3 in product for product in products) or 3 in singles
+        self._products = products
         size, count = len(products) + len(singles), len(STATE_LABELS)
         self._slope = np.zeros((size, count, count))
         for term, (i, j) in enumerate(products):
@@ -134,23 +137,6 @@ class QuadraticBasis:
         # sigma' less its offset, variable by variable, is zeta times this.
         self._flat_slope = self._slope.transpose(2, 1, 0).reshape(count, count * size).copy()
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Return the name of each term, length L, such as "s y" or "θ²"."""
-        names = STATE_LABELS
-        products = [
-            f"{names[i]}²" if i == j else f"{names[i]} {names[j]}" for i, j in self._products
-        ]
-        return (*products, *(names[i] for i in self._singles))
-
-    def value(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma at states of shape (..., 4), shape (..., L)."""
-        return self.expansion(zeta).value
-
-    def gradient(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
-        return self.expansion(zeta).gradient
-
     def expansion(self, zeta: FloatArray) -> Expansion:
         """Return sigma and the parts of sigma' at states of shape (..., 4)."""
         offset = self._offset.T
@@ -158,21 +144,13 @@ class QuadraticBasis:
         value = np.matmul(zeta[..., None, :], 0.5 * slope + offset)[..., 0, :]
         return Expansion(value, slope + offset)
 
-    @property
-    def depends_on_path_state(self) -> bool:
-        """Return whether phi is among the variables."""
-        return any(3 in product for product in self._products) or 3 in self._singles
-
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of the value function e^T P e for P (..., 3, 3), shape (..., L)."""
-        weights = np.zeros((*matrix.shape[:-2], len(self.labels)))
-        for term, (i, j) in enumerate(self._products):
-            if j < 3:
-                weights[..., term] = matrix[..., i, j] * (1.0 if i == j else 2.0)
-        return weights
+        pairs = [(term, pair) for term, pair in enumerate(self._products) if max(pair) < 3]
+        return _weights_of_products(matrix, pairs, len(self.labels))
 
 
-class PolynomialBasis:
+class PolynomialBasis(Basis):
     """All monomials of the error e = [s, y, theta] from degree 2 to a highest degree."""
 
     def __init__(self, degree: int) -> None:
@@ -186,6 +164,14 @@ class PolynomialBasis:
                 for j in range(total - i, -1, -1)
             ]
         )
+        self.labels = tuple(
+            " ".join(
+                STATE_LABELS[axis] + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
+                for axis, power in enumerate(powers)
+                if power
+            )
+            for powers in self._exponents.tolist()
+        )
         # Where the factors of sigma and of its derivatives by s, y and theta, (4, L), stand in a
         # table of each variable's powers 0, 1, ... and of their derivatives.
         size = degree + 1
@@ -195,35 +181,6 @@ class PolynomialBasis:
             + size * (np.arange(4) == axis + 1).astype(int)[:, None]
             for axis in range(3)
         ]
-
-    @functools.cached_property
-    def labels(self) -> tuple[str, ...]:
-        """Return the name of each term, length L, such as "s y" or "s y² θ"."""
-        names = STATE_LABELS
-        return tuple(
-            " ".join(
-                names[axis] + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
-                for axis, power in enumerate(powers)
-                if power
-            )
-            for powers in self._exponents.tolist()
-        )
-
-    @property
-    def depends_on_path_state(self) -> bool:
-        """Return whether phi is among the variables: never."""
-        return False
-
-    def value(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma at states of shape (..., 4), shape (..., L)."""
-        table, (s, y, theta) = self._powers(zeta), (factor[0] for factor in self._factors)
-        return np.asarray(
-            table.take(s, axis=-1) * table.take(y, axis=-1) * table.take(theta, axis=-1)
-        )
-
-    def gradient(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
-        return self.expansion(zeta).gradient
 
     def expansion(self, zeta: FloatArray) -> Expansion:
         """Return sigma and the parts of sigma' at states of shape (..., 4)."""
@@ -254,13 +211,10 @@ class PolynomialBasis:
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of the value function e^T P e for P (..., 3, 3), shape (..., L)."""
-        weights = np.zeros((*matrix.shape[:-2], len(self._exponents)))
-        for term, (i, j) in enumerate(_PAIRS):
-            weights[..., term] = matrix[..., i, j] * (1.0 if i == j else 2.0)
-        return weights
+        return _weights_of_products(matrix, enumerate(PAIRS), len(self.labels))
 
 
-class HalfAngleBasis:
+class HalfAngleBasis(Basis):
     """Another basis, of the position error seen from half way between path and robot.
 
     The position error is turned by theta / 2: a = s cos(theta/2) + y sin(theta/2) and
@@ -271,27 +225,11 @@ class HalfAngleBasis:
     def __init__(self, basis: Basis) -> None:
         """Take the basis whose s and y are to be a and b."""
         self._basis = basis
-
-    @functools.cached_property
-    def labels(self) -> tuple[str, ...]:
-        """Return the name of each term, length L, such as "a b" or "b² θ"."""
-        return tuple(
+        self.labels = tuple(
             re.sub(r"(?<![a-z])[sy](?![a-z])", lambda found: "ab"[found[0] == "y"], label)
-            for label in self._basis.labels
+            for label in basis.labels
         )
-
-    @property
-    def depends_on_path_state(self) -> bool:
-        """Return whether phi is among the variables."""
-        return self._basis.depends_on_path_state
-
-    def value(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma at states of shape (..., 4), shape (..., L)."""
-        return self._basis.value(half_angle_state(zeta))
-
-    def gradient(self, zeta: FloatArray) -> FloatArray:
-        """Return sigma' at states of shape (..., 4), shape (..., L, 4)."""
-        return self.expansion(zeta).gradient
+        self.depends_on_path_state = basis.depends_on_path_state
 
     def expansion(self, zeta: FloatArray) -> Expansion:
         """Return sigma and the parts of sigma' at states of shape (..., 4)."""
@@ -302,6 +240,16 @@ class HalfAngleBasis:
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
         return self._basis.quadratic_weights(matrix)
+
+
+def _weights_of_products(
+    matrix: FloatArray, pairs: Iterable[tuple[int, tuple[int, int]]], size: int
+) -> FloatArray:
+    """Return weights (..., L) of e^T P e for P (..., 3, 3), where terms are products e_i e_j."""
+    weights = np.zeros((*matrix.shape[:-2], size))
+    for term, (i, j) in pairs:
+        weights[..., term] = matrix[..., i, j] * (1.0 if i == j else 2.0)
+    return weights
 
 
 def half_angle_state(zeta: FloatArray) -> FloatArray:
@@ -319,7 +267,7 @@ def _half_angle(zeta: FloatArray) -> tuple[FloatArray, HalfTurn]:
 
 
 _CROSS_TERMS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of the polynomial's quadratic terms
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of the polynomial's quadratic terms
 _SUPERSCRIPTS = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
 
 BASES = ("paper", "paper_misprinted", "polynomial")

@@ -7,12 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
-from adp_path_follower.core.basis import OWN_BASES, Expansion, make_basis
+from adp_path_follower.core.basis import OWN_BASES, PAIRS, Basis, Expansion, make_basis
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 
 _MEMBERS = ("labels", "value", "gradient")
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _PAIR_NAMES = ("s²", "s y", "s θ", "y²", "y θ", "θ²")
 _STEP = 1e-5  # of the differences that gradients are compared with
 
@@ -58,10 +57,8 @@ def register_basis(name: str, factory: Callable[[], ValueBasis]) -> None:
     make_basis.cache_clear()
 
 
-class _OwnBasis:
-    """A user's basis as the learner sees it: a `Basis` without phi."""
-
-    depends_on_path_state = False
+class _OwnBasis(Basis):
+    """A user's basis as the learner sees it: without phi."""
 
     def __init__(self, name: str, basis: ValueBasis) -> None:
         """Check the basis; see `register_basis`."""
@@ -79,21 +76,14 @@ class _OwnBasis:
         _check_slopes(name, basis, self.labels)
         self._quadratic = _quadratic_part(name, basis)
 
-    def value(self, zeta: FloatArray) -> FloatArray:
-        return np.asarray(self._basis.value(zeta[..., :3]), float)
-
-    def gradient(self, zeta: FloatArray) -> FloatArray:
-        return self.expansion(zeta).gradient
-
     def expansion(self, zeta: FloatArray) -> Expansion:
+        value = np.asarray(self._basis.value(zeta[..., :3]), float)
         slopes = np.asarray(self._basis.gradient(zeta[..., :3]), float)
-        return Expansion(self.value(zeta), np.ascontiguousarray(np.swapaxes(slopes, -1, -2)))
+        return Expansion(value, np.ascontiguousarray(np.swapaxes(slopes, -1, -2)))
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the least weights of e^T P e to second order for P (..., 3, 3), (..., L)."""
-        wanted = np.stack(
-            [matrix[..., i, j] * (1.0 if i == j else 2.0) for i, j in _PAIRS], axis=-1
-        )
+        wanted = np.stack([matrix[..., i, j] * (1.0 if i == j else 2.0) for i, j in PAIRS], axis=-1)
         return np.asarray(wanted @ self._quadratic)
 
 
@@ -135,7 +125,7 @@ def _quadratic_part(name: str, basis: ValueBasis) -> FloatArray:
     steps = _STEP * np.eye(3)
     curvature = (basis.gradient(steps) - basis.gradient(-steps)) / (2.0 * _STEP)  # (3, L, 3)
     terms = np.stack(
-        [curvature[i, :, j] * (0.5 if i == j else 1.0) for i, j in _PAIRS], axis=-1
+        [curvature[i, :, j] * (0.5 if i == j else 1.0) for i, j in PAIRS], axis=-1
     )  # (L, 6): how much of each product a term is
     weights = np.linalg.pinv(terms, rcond=1e-6)
     missing = np.abs(weights @ terms - np.eye(6)).max(axis=1) > 1e-6

@@ -43,7 +43,7 @@ class FirstTerms(PolynomialBasis):
         """Take as many terms of the least degree that has so many."""
         degree = next(d for d in range(2, 9) if len(PolynomialBasis(d).labels) >= size)
         super().__init__(degree)
-        self._exponents = self._exponents[:size]
+        self.labels = self.labels[:size]
         self._factors = [factor[:, :size] for factor in self._factors]
 
 
