@@ -84,7 +84,7 @@ def recover(
             raise
         reason = error.strerror if isinstance(error, OSError) else error
         raise FileError(f"bag {str(bag)!r} cannot be read: {reason}") from None
-    writer = _new_bag(target, metadata)
+    writer = BagWriter(target, metadata.custom_data, chunked=True, information=metadata.kept)
     copy = _Copy(writer, metadata)
     try:
         total = max(1, sum(sizes))
@@ -99,15 +99,6 @@ def recover(
             raise FileError(f"bag {bag} not recovered to {target}: {error.strerror}") from None
         raise
     return Recovery(target, dict(copy.message_counts), sum(sizes), copy.bytes_left)
-
-
-def _new_bag(directory: FilePath, metadata: TornMetadata) -> BagWriter:
-    try:
-        return BagWriter(directory, metadata.custom_data, chunked=True, information=metadata.kept)
-    except FileError:
-        raise
-    except OSError as error:  # a full disk
-        raise FileError(f"bag {directory} cannot be written: {error.strerror}") from None
 
 
 def _storage_files(bag: FilePath) -> list[FilePath]:
