@@ -33,8 +33,7 @@ class RiccatiPolicy:
         """Take R, the limits and P along the path."""
         self._limits = settings.limits
         self._riccati = riccati
-        inverse = np.linalg.inv(settings.cost.input_cost_matrix())
-        self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
+        self._input_cost_inverse = settings.cost.inverse_input_cost()
         self._basis = make_basis("polynomial", 2, "half_angle")
 
     def modified_input(

@@ -101,8 +101,7 @@ class GridPolicy:
         """Take all settings."""
         self._settings = settings
         self._grid = stored(problem_of(settings))
-        inverse = np.linalg.inv(settings.cost.input_cost_matrix())
-        self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
+        self._input_cost_inverse = settings.cost.inverse_input_cost()
 
     def modified_input(
         self, zeta: FloatArray, curvature: FloatArray, feedforward: FloatArray
@@ -148,8 +147,7 @@ class WideRegion:
         self._widths: list[float] = self._half_widths.tolist()
         self._limits = settings.limits
         self._riccati = riccati
-        inverse = np.linalg.inv(settings.cost.input_cost_matrix())
-        self._input_cost_inverse: FloatArray = np.asarray(inverse, float)
+        self._input_cost_inverse = settings.cost.inverse_input_cost()
         self._is_own = settings.policy.wide_region not in WIDE_REGIONS
         make = OWN_FAR_POLICIES.find(settings.policy.wide_region) if self._is_own else None
         self._far: FarPolicy

@@ -28,8 +28,7 @@ class NearPath:
     ) -> None:
         """Solve the Riccati equation for the larger cost, along the path."""
         self._reach, self._limits = settings.policy.tight_within, settings.limits
-        inverse = np.linalg.inv(settings.cost.input_cost_matrix())
-        self._inverse: FloatArray = np.asarray(inverse, float)
+        self._inverse = settings.cost.inverse_input_cost()
         cost = settings.cost.state_cost_matrix()
         cost[1, 1] = max(cost[1, 1], _WEIGHT * settings.cost.input_cost_matrix()[1, 1])
         tight = dataclasses.replace(settings.cost, state_cost=tuple(cost.ravel().tolist()))

@@ -72,7 +72,7 @@ class CommandLaw:
         self._learner, self._actuation = learner, actuation
         self._basis = settings.learning.value_basis
         self._running_cost = RunningCost(settings.cost)
-        self._inverse_cost = np.asarray(np.linalg.inv(self._running_cost.input_cost), float)
+        self._inverse_cost = settings.cost.inverse_input_cost()
         self._wide_region = self._leaving = WideRegion(settings, riccati)
         self._since_change = math.inf  # [s], from the far policy `_leaving` to `_wide_region`
         safe_policy = settings.policy.fallback != "none"

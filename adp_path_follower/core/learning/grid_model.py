@@ -39,7 +39,7 @@ class SampledModel:
         # sigma' g with the two inputs first, (2, N, L): each product below is then contiguous.
         self._input_regressor = np.ascontiguousarray(input_gradient.transpose(2, 0, 1))
         count, size = self._drift_regressor.shape
-        inverse_cost = np.linalg.inv(settings.cost.input_cost_matrix())
+        inverse_cost = settings.cost.inverse_input_cost()
         policy = -0.5 * np.einsum("ab,bnl->anl", inverse_cost, self._input_regressor)
         self._policy = np.ascontiguousarray(policy.reshape(2 * count, size).T)  # u = Wa @ policy
         error = self.states[:, :3]

@@ -96,6 +96,10 @@ class CostSettings:
         """Return R, shape (2, 2)."""
         return _matrix("input_cost", self.input_cost, 2)
 
+    def inverse_input_cost(self) -> FloatArray:
+        """Return R^-1, shape (2, 2)."""
+        return np.asarray(np.linalg.inv(self.input_cost_matrix()), float)
+
 
 @dataclass(frozen=True)
 class LimitSettings:

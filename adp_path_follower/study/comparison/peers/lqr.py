@@ -22,7 +22,7 @@ class Lqr(PeerController):
         """Solve the Riccati equation over the path's curvatures."""
         super().__init__(settings, path, arc_length)
         self._schedule = RiccatiSchedule(path, settings.target, settings.cost)
-        self._input_cost_inverse = np.linalg.inv(settings.cost.input_cost_matrix())
+        self._input_cost_inverse = settings.cost.inverse_input_cost()
 
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
