@@ -117,7 +117,7 @@ def _write_whole(file: FilePath, content: bytes) -> None:
     ):
         file.write_bytes(content)
     else:
-        write_whole(place, content, place.with_name(f".{place.name}.unfinished"))
+        write_whole(place, content)
 
 
 def json_option(meaning: str) -> Callable[[Command], Command]:

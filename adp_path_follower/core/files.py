@@ -15,6 +15,7 @@ import yaml
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
 
+UNFINISHED = ".unfinished"  # ends the names of files that are being written
 _UNITS = {"": 1.0, "m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "rad": 1.0, "deg": math.pi / 180}
 
 
@@ -76,11 +77,12 @@ def read_text(file: FilePath) -> str:
     return text
 
 
-def write_whole(file: FilePath, content: bytes, unfinished: FilePath) -> None:
+def write_whole(file: FilePath, content: bytes) -> None:
     """Write a whole file, or none, whatever happens; OSError, or ValueError for a wrong name.
 
-    It is written first as `unfinished`, which is in the same folder, and then renamed.
+    It is written first under another name in the same folder, and then renamed.
     """
+    unfinished = file.with_name(f".{file.name}.{os.getpid()}{UNFINISHED}")
     try:
         with unfinished.open("wb") as output:
             output.write(content)
@@ -106,7 +108,7 @@ def output_to(output: FilePath) -> Iterator[None]:
 def write_output(file: FilePath, text: str) -> None:
     """Write a text file as a whole or not at all; raise FileError if it cannot be written."""
     with output_to(file):
-        write_whole(file, text.encode(), file.with_name(f".{file.name}.unfinished"))
+        write_whole(file, text.encode())
 
 
 def parse_yaml(text: str) -> object:

@@ -92,7 +92,7 @@ def store(problem: ValueProblem) -> bytes:
         others = sorted(file.parent.glob("value_*.npz"), key=lambda other: other.stat().st_mtime)
         for other in others[: -(_MOST_FILES - 1)]:
             other.unlink(missing_ok=True)
-        write_whole(file, content.getvalue(), file.with_suffix(f".{os.getpid()}.unfinished"))
+        write_whole(file, content.getvalue())
     return content.getvalue()
 
 

@@ -9,7 +9,6 @@ keeps them.
 import hashlib
 import io
 import math
-import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -131,9 +130,8 @@ def read_weights(file: FilePath, settings: Settings) -> tuple[SavedWeights, byte
 
 def write_weights(file: FilePath, content: bytes) -> None:
     """Write a weights file as a whole or not at all; raise FileError if it cannot be written."""
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
-        write_whole(file, content, temporary)
+        write_whole(file, content)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise FileError(

@@ -14,13 +14,12 @@ import pyarrow.parquet as pq
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.core.files import output_to, write_whole
+from adp_path_follower.core.files import UNFINISHED, output_to, write_whole
 from adp_path_follower.study.sweeps.request.objectives import Score, score_of_runs
 from adp_path_follower.study.sweeps.request.request import Sweep
 from adp_path_follower.study.sweeps.workers.cluster import Workers
 from adp_path_follower.study.sweeps.workers.runs import Columns, joined, run_part
 
-UNFINISHED = ".unfinished"  # ends the names of files that are being written
 _LOCK = ".lock"
 
 
@@ -61,7 +60,7 @@ class OutputFolder:
     def write(self, file: FilePath, content: bytes) -> None:
         """Write a whole file of the folder (flushed, then renamed), or raise FileError."""
         try:
-            write_whole(file, content, file.with_suffix(UNFINISHED))
+            write_whole(file, content)
         except OSError as error:
             raise FileError(
                 f"output {file} cannot be written: {error.strerror}; what is there stays, and the "
