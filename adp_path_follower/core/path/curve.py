@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from adp_path_follower.core.errors import PathError
 from adp_path_follower.core.geometry import FloatArray, components, contiguous, unpacked
-from adp_path_follower.core.path.points import chord_spline, distinct_points, joined
+from adp_path_follower.core.path.points import chord_spline, distinct_points, in_blocks, joined
 
 if TYPE_CHECKING:
     # Imported where paths are made: it takes as long as rclpy, and the controller's start does not
@@ -28,7 +28,6 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
 _SPACING = 0.02  # [m] of places where the path is sampled, at most ...
 _MOST_PLACES = 100_000  # ... so many pieces
 _NEWTON_STEPS = 8
-_BLOCK = 8192  # rows at once, so that other threads get their turn
 
 
 class TurningBackError(PathError):
@@ -121,9 +120,7 @@ class Path:
         Its pieces meet at increasing parameters. Those of the path have the length `piece` [m], if
         it is less than 5 cm. Raises TurningBackError if the curve has a cusp.
         """
-        return cls._by_arc_length(
-            spline, spline.derivative(), parameter, closed, min(_PIECE, piece)
-        )
+        return cls.from_curve(spline, spline.derivative(), parameter, closed, min(_PIECE, piece))
 
     @classmethod
     def from_curve(
@@ -132,37 +129,26 @@ class Path:
         velocity: Callable[[FloatArray], FloatArray],
         parameters: FloatArray,
         closed: bool,
+        piece: float = _PIECE,
     ) -> Path:
-        """Return the path of a smooth curve by its arc length.
+        """Return the path of a smooth curve by its arc length, in pieces of some length [m].
 
         `position` maps increasing parameters (M,) to points (M, 2) [m]; `velocity`, its derivative,
         is never zero. A closed curve ends where it starts.
         """
-        return cls._by_arc_length(position, velocity, parameters, closed, piece=_PIECE)
-
-    @classmethod
-    def _by_arc_length(
-        cls,
-        position: Callable[[FloatArray], FloatArray],
-        velocity: Callable[[FloatArray], FloatArray],
-        breaks: FloatArray,
-        closed: bool,
-        piece: float,
-    ) -> Path:
-        """Return the path after finding the parameter at uniform steps of arc length."""
         from scipy.interpolate import make_interp_spline
 
-        arc = _ArcLength(velocity, breaks)
+        arc = _ArcLength(velocity, parameters)
         pieces = min(max(_LEAST_PIECES, math.ceil(arc.length / piece)), _MOST_PIECES)
         knots = np.linspace(0.0, arc.length, pieces + 1)
-        points = _in_blocks(position, arc.parameter(knots))
+        points = in_blocks(position, arc.parameter(knots))
         if closed:
             points[-1] = points[0]
         spline = make_interp_spline(
             knots, points, k=_DEGREE, bc_type="periodic" if closed else None
         )
         coefficients = [
-            _in_blocks(functools.partial(spline, nu=power), knots[:-1]) / math.factorial(power)
+            in_blocks(functools.partial(spline, nu=power), knots[:-1]) / math.factorial(power)
             for power in range(_DEGREE + 1)
         ]
         path = cls(np.stack(coefficients, axis=-1), arc.length, closed)
@@ -262,7 +248,7 @@ class _ArcLength:
         return np.asarray(half * (speed @ _GAUSS_WEIGHTS))
 
     def _speed(self, parameter: FloatArray) -> FloatArray:
-        velocity = _in_blocks(self._velocity, parameter)
+        velocity = in_blocks(self._velocity, parameter)
         return np.hypot(velocity[:, 0], velocity[:, 1])
 
     def parameter(self, arc_length: FloatArray) -> FloatArray:
@@ -280,11 +266,3 @@ class _ArcLength:
             if np.abs(miss).max() < 1e-9 * float(self._lengths[-1] / len(self._breaks)):
                 break  # the step just made squares that
         return np.asarray(parameter)
-
-
-def _in_blocks(function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
-    """Return a function of values (M,) in blocks: scipy's splines keep other threads waiting."""
-    if len(values) <= _BLOCK:
-        return function(values)
-    starts = range(0, len(values), _BLOCK)
-    return np.concatenate([function(values[start : start + _BLOCK]) for start in starts])

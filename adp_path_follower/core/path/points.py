@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 MAX_POINTS = 1_000_000
 _COINCIDENCE = 1e-6  # [m]: points nearer than this to the one before count once
+_BLOCK = 8192  # rows at once, so that other threads get their turn
 _CLOSING_GAP = 1e-3  # [m]: a path whose ends are nearer than this is closed
 
 
@@ -83,3 +85,11 @@ def _moving(points: FloatArray) -> np.ndarray:
             last = int(index) - 1
         moving[index] = math.dist(points[index], points[last]) > _COINCIDENCE
     return moving
+
+
+def in_blocks(function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
+    """Return a function of values (M,) in blocks: scipy's splines keep other threads waiting."""
+    if len(values) <= _BLOCK:
+        return function(values)
+    starts = range(0, len(values), _BLOCK)
+    return np.concatenate([function(values[start : start + _BLOCK]) for start in starts])

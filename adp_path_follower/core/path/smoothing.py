@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.path.points import in_blocks
 
 _BOX_WIDTHS = (3, 5, 7, 11, 15, 21, 29, 41, 57, 79)  # [samples], of each level's four boxes
 _SAMPLES_PER_TOLERANCE = 4
@@ -73,7 +74,7 @@ class Interpolation:
         lengths = np.diff(self.parameter)
         farthest = np.zeros(len(chord))
         for place in _CHORD_PLACES:
-            offset = _evaluated(self.spline, self.parameter[:-1] + place * lengths) - start
+            offset = in_blocks(self.spline, self.parameter[:-1] + place * lengths) - start
             share = np.clip((offset * chord).sum(axis=1) / lengths**2, 0.0, 1.0)
             gap = offset - share[:, None] * chord
             farthest = np.maximum(farthest, np.hypot(gap[:, 0], gap[:, 1]))
@@ -130,7 +131,7 @@ def is_fair(through: Interpolation, tolerance: float) -> bool:
     if through.excess.max() > tolerance:
         return False
     places, step = through.places(tolerance)
-    along = _evaluated(through.spline, places)
+    along = in_blocks(through.spline, places)
     budget = np.full(len(places), tolerance)
     grid = Grid(along, step, through.closed)
     levels = _levels(grid, along, budget)
@@ -160,7 +161,7 @@ def smoothed(through: Interpolation, tolerance: float) -> tuple[FloatArray, floa
     chord = np.clip(np.searchsorted(parameter, places, side="right") - 1, 0, len(bulge) - 1)
     faithful = (bulge <= _FAITHFUL * tolerance)[chord]
     straight = np.stack([np.interp(places, parameter, points[:, axis]) for axis in (0, 1)], axis=1)
-    anchor = np.where(faithful[:, None], _evaluated(through.spline, places), straight)
+    anchor = np.where(faithful[:, None], in_blocks(through.spline, places), straight)
     limit = _MARGIN * tolerance - np.where(faithful, bulge[chord], 0.0)
     budget = limit - _beside(anchor, places, points, parameter)
     grid = Grid(anchor, step, closed)
@@ -201,7 +202,7 @@ def _even(grid: Grid) -> tuple[Grid, FloatArray]:
     spline = CubicSpline(
         np.arange(len(points)), points, bc_type="periodic" if grid.closed else "not-a-knot"
     )
-    return Grid(_evaluated(spline, place), step, grid.closed), place
+    return Grid(in_blocks(spline, place), step, grid.closed), place
 
 
 def _interpolated(values: FloatArray, place: FloatArray, closed: bool) -> FloatArray:
@@ -209,11 +210,6 @@ def _interpolated(values: FloatArray, place: FloatArray, closed: bool) -> FloatA
     whole = np.vstack([values, values[:1]]) if closed else values
     index = np.arange(len(whole))
     return np.stack([np.interp(place, index, column) for column in whole.T], axis=1)
-
-
-def _evaluated(spline: CubicSpline, places: FloatArray, block: int = 8192) -> FloatArray:
-    starts = range(0, len(places), block)
-    return np.concatenate([spline(places[start : start + block]) for start in starts])
 
 
 def _beside(
