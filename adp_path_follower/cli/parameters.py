@@ -7,7 +7,7 @@ import click
 from adp_path_follower.cli.options import settings_options
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
-from adp_path_follower.core.settings.schema import describe_table, group_titles
+from adp_path_follower.core.settings.schema import describe_table
 from sim_unicycle.settings import SimulatorSettings
 
 _INTRODUCTION = """\
@@ -53,4 +53,4 @@ def parameters(params: FilePath | None, assignments: tuple[str, ...], form: str)
         ("Controller (`path_follower`)", Settings),
         ("Simulator (`unicycle_sim`)", SimulatorSettings),
     ):
-        click.echo(f"## {title}\n\n{describe_table(tree, group_titles(tree))}")
+        click.echo(f"## {title}\n\n{describe_table(tree)}")

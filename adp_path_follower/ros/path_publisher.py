@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from adp_path_follower.core.path.library import PATH_HELP, named_points
 from adp_path_follower.core.settings.schema import setting
 from adp_path_follower.ros.runtime.conversions import poses_message
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
+from adp_path_follower.ros.runtime.qos import LATCHED
 from adp_path_follower.ros.runtime.run import Ending, run_node
 
 NODE_NAME = "path_publisher"
@@ -46,8 +46,7 @@ class PathPublisherNode(Ending, Node):
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         settings = declare_settings(self, PathPublisherSettings)
         message = self._message(settings)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._publisher = self.create_publisher(PathMessage, "path", latched)
+        self._publisher = self.create_publisher(PathMessage, "path", LATCHED)
         self._publish(settings, message)
         LiveSettings(self, settings, self._prepare_settings)
 

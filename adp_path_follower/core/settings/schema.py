@@ -209,14 +209,15 @@ def _is_choice(spec: Spec, value: object) -> bool:
     return spec.registry is not None and spec.registry.find(str(value)) is not None
 
 
-def describe_table(tree: type, title_of_group: Mapping[str, str]) -> str:
+def describe_table(tree: type) -> str:
     """Return the settings of a tree as Markdown lists, one for each group."""
     lines: list[str] = []
+    titles = group_titles(tree)
     group = ""
     for field in setting_fields(tree):
         if field.group != group:
             group = field.group
-            lines += ["", f"### {title_of_group[group]}", ""]
+            lines += ["", f"### {titles[group]}", ""]
         spec = field.spec
         symbol = f" {spec.symbol}" if spec.symbol else ""
         default = f"`{yaml_text(field.default)}` {spec.unit}".strip()

@@ -31,13 +31,9 @@ class Ending:
         """Publish the last messages before the node goes; called once, also after an error."""
 
 
+@unblocked_stderr()
 def run_node(name: str, make_node: Callable[[], Node]) -> int:
     """Spin a node to its end; return 0, 1 after a logged error, 2 for rejected settings."""
-    with unblocked_stderr():
-        return _run(name, make_node)
-
-
-def _run(name: str, make_node: Callable[[], Node]) -> int:
     stop = StopRequest()
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
