@@ -26,15 +26,10 @@ class Unicycle:
         self.twist = np.zeros((*self.pose.shape[:-1], 2))  # true, over the last step
         self.plant = plant  # may be exchanged between two steps, but for the seed
         self._velocity = self._set = self.twist  # of the wheels, and by the firmware's ramps
-        self._time = 0.0
+        self.time = 0.0  # since the start [s]
         self._pending: deque[tuple[float, FloatArray]] = deque()
         self._effective = self.twist
         self._odometry = Odometry(self.pose, self.twist, plant, run)
-
-    @property
-    def time(self) -> float:
-        """Return the time since the start [s]."""
-        return self._time
 
     @property
     def arrived(self) -> tuple[Reading, ...]:
@@ -60,8 +55,8 @@ class Unicycle:
         if forward or turning:
             self.twist = self.twist + np.array([forward, turning])
         self.pose = moved_pose(self.pose, self.twist, left, dt)
-        self._time += dt
-        self._odometry.step(self._time, self.pose, wheels, dt, plant)
+        self.time += dt
+        self._odometry.step(self.time, self.pose, wheels, dt, plant)
 
     def measured_pose(self) -> FloatArray:
         """Return the pose as odometry reported it last, heading in [-pi, pi), shape (..., 3)."""
@@ -69,7 +64,7 @@ class Unicycle:
 
     def present_pose(self) -> FloatArray:
         """Return that pose moved on to now at the measured velocities, shape (..., 3)."""
-        pose, age = self.measured_pose(), self._time - self._odometry.reading.time
+        pose, age = self.measured_pose(), self.time - self._odometry.reading.time
         if not (age > 1e-9).any():
             return pose
         twist = self._odometry.reading.twist
@@ -78,16 +73,16 @@ class Unicycle:
     def measured_motion(self) -> FloatArray:
         """Return v and w of the wheels as it reported them, and its age [s], shape (..., 3)."""
         reading = self._odometry.reading
-        age = np.broadcast_to(self._time - reading.time, self.pose.shape[:-1])
+        age = np.broadcast_to(self.time - reading.time, self.pose.shape[:-1])
         return np.concatenate([reading.twist, age[..., None]], axis=-1)
 
     def _delayed(self, command: FloatArray) -> FloatArray:
         """Return the command whose delay is over by now."""
-        due = self._time + self.plant.command_delay
+        due = self.time + self.plant.command_delay
         while self._pending and self._pending[-1][0] > due:  # the delay has become shorter
             self._pending.pop()
         self._pending.append((due, command))
-        while self._pending and self._pending[0][0] <= self._time + 1e-9:
+        while self._pending and self._pending[0][0] <= self.time + 1e-9:
             self._effective = self._pending.popleft()[1]
         return self._effective
 

@@ -1,6 +1,5 @@
 """How far the numbers of a run can be trusted: what was used, what was left out, and why."""
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -72,10 +71,6 @@ class Trust:
                 f"the robot's place is known for {self.measured:.1f} of {self.duration:.1f} s only"
             )
         return ""
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return name -> value, for metrics.json."""
-        return dataclasses.asdict(self)
 
 
 def trust_of(drive: Drive, metrics: Mapping[str, float]) -> Trust:

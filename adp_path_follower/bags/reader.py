@@ -130,11 +130,6 @@ class Run:
     span: tuple[int, int] = (0, 0)  # first and last arrival in the bag [ns]
 
     @property
-    def path_points(self) -> FloatArray:
-        """Return the positions of the last path, shape (N, 2); empty without one."""
-        return self.paths[-1][1][:, :2] if self.paths else np.zeros((0, 2))
-
-    @property
     def configuration(self) -> str:
         """Return what the controller said last it runs with, as YAML; empty without it."""
         return self.configurations[-1][1] if self.configurations else ""

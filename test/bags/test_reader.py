@@ -72,7 +72,7 @@ def test_every_kind_of_bag_gives_the_same_numbers(tmp_path, kind, stamped):
     late = 0 if stamped else 1000
     assert commands.stamp.tolist() == (odom.stamp + late).tolist()
     assert (commands.arrival - odom.arrival).tolist() == [1000] * 10
-    assert run.path_points.tolist() == [[float(x), 0.0] for x in range(5)]
+    assert run.paths[-1][1][:, :2].tolist() == [[float(x), 0.0] for x in range(5)]
     assert run.message_counts == {"/path": 1, "/odom": 10, "/cmd_vel": 10}
     assert run.notes == ()
 
@@ -113,7 +113,7 @@ def test_other_topic_names(tmp_path):
     given = {"odom": "base/filtered", "cmd_vel": "/nav/command", "path": "plan"}
     run = read_run(bag, given)
     assert set(run.series) == {"odom", "cmd_vel"}
-    assert len(run.path_points) == 5
+    assert len(run.paths[-1][1]) == 5
     with pytest.raises(FileError, match=r"no topic /odometry; of a type that fits.*/base/filtered"):
         read_run(bag, {"odom": "odometry"})
     with pytest.raises(FileError, match=r"topic /plan .* has the type nav_msgs/msg/Path, but must"):
@@ -212,7 +212,7 @@ def test_damaged_messages_of_any_topic_are_passed_over_and_counted(tmp_path):
     )
     run = read_run(bag)
     assert len(run.series["odom"].stamp) == 2
-    assert run.path_points.tolist() == [[0.0, 0.0], [1.0, 0.0]]
+    assert run.paths[-1][1][:, :2].tolist() == [[0.0, 0.0], [1.0, 0.0]]
     assert run.configuration == "settings: {}"
     assert [item.state for item in run.diagnostics] == ["following"]
     assert set(run.notes) == {

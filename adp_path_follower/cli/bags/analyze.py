@@ -136,7 +136,7 @@ def _numbers(analyses: list[BagAnalysis], limits: list[Requirement]) -> dict[str
                 "metrics": dict(item.metrics),
                 "time_in_state": dict(item.states),
                 "topics": dict(item.topics),
-                "trust": item.trust.as_mapping(),
+                "trust": vars(item.trust),
                 "notes": list(item.notes),
             }
             for item in analyses

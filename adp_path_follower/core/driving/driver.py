@@ -50,6 +50,9 @@ class Driver:
     Attributes:
         settings: All settings.
         route: The route to follow, None without one.
+        segment: Number of the present segment.
+        follower: The follower of that segment, None before the first step on the route. In reverse
+            it is that of a robot which faces the other way (`core.path.route`).
         counts: Resets, restarts and stops so far.
         output: The follower's last output on the present segment, None before the first.
         saved_weights: Weights of another run to start from, None without.
@@ -83,8 +86,8 @@ class Driver:
         self.robot = Robot(settings, saved_weights.robot if saved_weights else ())
         self._actuation = Actuation()  # as the robot of the present segment is told
         self._faces_back = False  # that robot, other than the real one
-        self._segment = 0
-        self._follower: PathFollower | None = None
+        self.segment = 0
+        self.follower: PathFollower | None = None
         self._pose: FloatArray = np.zeros(3)  # of the robot at the last step
         self._left: Left | None = None  # where following ended, until it goes on
         self._learned: PathFollower | None = None  # the follower of the path before
@@ -104,19 +107,6 @@ class Driver:
             )
 
     @property
-    def follower(self) -> PathFollower | None:
-        """Return the follower of the present segment, None before the first step on the route.
-
-        In reverse it is that of a robot which faces the other way (`core.path.route`).
-        """
-        return self._follower
-
-    @property
-    def segment(self) -> int:
-        """Return the number of the present segment."""
-        return self._segment
-
-    @property
     def at_goal(self) -> bool:
         """Return whether the robot is at the end of an open route."""
         turned = self._faces_goal or self.route is None or self.route.goal_heading is None
@@ -124,16 +114,16 @@ class Driver:
 
     @property
     def _at_segment_end(self) -> bool:
-        return self._follower is not None and bool(self._follower.goal.reached)
+        return self.follower is not None and bool(self.follower.goal.reached)
 
     @property
     def _on_last_segment(self) -> bool:
-        return self.route is not None and self._segment == len(self.route.segments) - 1
+        return self.route is not None and self.segment == len(self.route.segments) - 1
 
     @property
     def _present(self) -> Segment:
         assert self.route is not None  # the caller waits for one
-        return self.route.segments[self._segment]
+        return self.route.segments[self.segment]
 
     def follow(self, path: Route | Path | None) -> None:
         """Follow another route, or a path, from the next step on, or none.
@@ -148,21 +138,12 @@ class Driver:
 
     def _leave(self) -> None:
         """Note where following ends."""
-        if self._follower is not None and self.route is not None:
-            place = Place(self._segment, float(self._follower.arc_length))
+        if self.follower is not None and self.route is not None:
+            place = Place(self.segment, float(self.follower.arc_length))
             self._left = Left(self.route, place, self._pose, self.at_goal)
-            self._learned = self._follower
-        self._follower, self._segment, self._standstill = None, 0, None
+            self._learned = self.follower
+        self.follower, self.segment, self._standstill = None, 0, None
         self._turn, self._faces_goal = None, False
-
-    def change_settings(self, settings: Settings) -> None:
-        """Go on with other settings.
-
-        Raises:
-            SettingsError: As `prepared`; the present ones stay.
-
-        """
-        self.take_over(self.prepared(settings))
 
     def prepared(self, settings: Settings) -> Change:
         """Return the change to other settings, which `take_over` makes at once.
@@ -187,26 +168,26 @@ class Driver:
             path=present.path,
             policy=dataclasses.replace(settings.policy, wide_region=far),
         )
-        if self._follower is None or same_motion == present:
-            return Change(settings, self._follower)
-        return Change(settings, self._follower.reconfigured(self._of_segment(settings)))
+        if self.follower is None or same_motion == present:
+            return Change(settings, self.follower)
+        return Change(settings, self.follower.reconfigured(self._of_segment(settings)))
 
     def take_over(self, change: Change) -> None:
         """Go on with a change that was prepared since the last step."""
         before = self.settings
-        self.settings, self._follower = change.settings, change.follower
+        self.settings, self.follower = change.settings, change.follower
         self.robot.take_over(change.settings)
         if (before.target, before.limits) != (change.settings.target, change.settings.limits):
             self._tell_of_speed()
-        if self._follower is not None:
-            self._follower.settings = self._of_segment(change.settings)
+        if self.follower is not None:
+            self.follower.settings = self._of_segment(change.settings)
 
     def reset_learning(self) -> None:
         """Return to the initial weights of the settings, also where there were saved ones."""
         self._learned = self.saved_weights = None
         self._to_learn = False
-        if self._follower is not None:
-            self._follower.reset_learning()
+        if self.follower is not None:
+            self.follower.reset_learning()
         self.robot.reset()
         self._count(learning_resets=self.counts.learning_resets + 1)
 
@@ -215,7 +196,7 @@ class Driver:
 
         Learned weights stay.
         """
-        if self._follower is None:
+        if self.follower is None:
             return False
         self._leave()
         self.robot.restart()
@@ -252,8 +233,8 @@ class Driver:
 
     def learn(self) -> None:
         """Learn from the last step, once, if learning was not reset meanwhile."""
-        if self._to_learn and self._follower is not None:
-            self._follower.learn()
+        if self._to_learn and self.follower is not None:
+            self.follower.learn()
             self.robot.learn()
         self._to_learn = False
 
@@ -277,11 +258,11 @@ class Driver:
             self.robot.restart()
         self._pose = pose
         ahead, then = self.robot.ahead(pose, time, motion)
-        if self._follower is None:
+        if self.follower is None:
             self._begin(pose)
-            if then > time and self._follower is not None:
+            if then > time and self.follower is not None:
                 facing = self._present.heading_of_path
-                self._follower.lead(facing(pose), facing(ahead), (then - time) * 1e-9)
+                self.follower.lead(facing(pose), facing(ahead), (then - time) * 1e-9)
         elif self._at_segment_end and not self.at_goal and self._turn is None:
             self._standstill = self._standstill or Standstill()
             if not self._standstill.reached(pose, time):
@@ -290,16 +271,16 @@ class Driver:
             if self._on_last_segment:
                 self._turn = self.route.goal_heading if self.route else None
             else:
-                self._learned = self._follower
-                self._begin_segment(self._segment + 1, 0.0)
+                self._learned = self.follower
+                self._begin_segment(self.segment + 1, 0.0)
         if self._turn is not None:
             turning = self._turning(self._turn, pose, time)
             if turning is not None:
                 return turning
-        assert self._follower is not None  # one has just begun, if there was none
-        self._follower.law.robot_is_ideal = self.robot.ideal
+        assert self.follower is not None  # one has just begun, if there was none
+        self.follower.law.robot_is_ideal = self.robot.ideal
         facing_ahead = self._present.heading_of_path(ahead)
-        self.output = self._follower.step_at(facing_ahead, then, learn=False)
+        self.output = self.follower.step_at(facing_ahead, then, learn=False)
         self._to_learn = True
         output = self._own(self.output)
         command = self.robot.command(output.command)
@@ -307,11 +288,11 @@ class Driver:
 
     def _turning(self, heading: float, pose: FloatArray, time: int) -> FollowerOutput | None:
         """Return the output of a turn on the spot to a heading, None when driving begins."""
-        assert self._follower is not None  # one has begun
+        assert self.follower is not None  # one has begun
         if self.output is None:  # before the first step on the segment
             facing = self._present.heading_of_path(pose)
-            self.output = self._follower.step_at(facing, time, learn=False)
-            self._follower.hold()
+            self.output = self.follower.step_at(facing, time, learn=False)
+            self.follower.hold()
         command = turning_command(heading, pose, time, self._actuation, self.settings)
         if command is not None:
             return self._standing(pose, command)
@@ -379,7 +360,7 @@ class Driver:
         self._left = None
 
     def _begin_segment(self, number: int, arc_length: float) -> None:
-        self._segment = number
+        self.segment = number
         segment = self._present
         if segment.reverse is not self._faces_back:
             self._actuation.turn_round()
@@ -395,6 +376,6 @@ class Driver:
                 )
         if self._learned is not None:
             follower.take_over(self._learned)
-        self._follower, self._learned, self.output = follower, None, None
+        self.follower, self._learned, self.output = follower, None, None
         if segment.turn_first and arc_length <= NOISE:
             self._turn = float(segment.heading_of_path(segment.path.frame(0.0).pose)[2])

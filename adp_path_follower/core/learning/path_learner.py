@@ -93,7 +93,8 @@ class PathLearner:
         self._learned_from = np.full(self._count, _NEVER)
         self._groups: list[Group] = []
         self._problems: dict[int, str] = {}  # by robot
-        self._sampled = SampleEvidence(np.full(self._shape, np.nan))
+        # How well the samples determined the weights of each robot's latest knot.
+        self.sampled = SampleEvidence(np.full(self._shape, np.nan))
         self._resting_at = b""  # the knots about the robots while all of them rest
         self._followed = self._slots = np.zeros((0, 0), np.int64)  # knots whose actors follow
 
@@ -122,11 +123,6 @@ class PathLearner:
     def problem(self) -> str:
         """Return why the Riccati policy has taken over for a robot, empty if it has for none."""
         return next(iter(self._problems.values()), "")
-
-    @property
-    def sampled(self) -> SampleEvidence:
-        """Return how well the samples determined the weights of each robot's latest knot."""
-        return self._sampled
 
     def local(self, arc_length: FloatArray) -> LocalWeights:
         """Return each robot's weights at its arc length [m], and their slope along the path."""
@@ -231,9 +227,9 @@ class PathLearner:
         """Let a group take over the critic of its knot, and turn to the next."""
         update, knots, robots = group.sweep.updates[group.index], self._knots, group.robots
         knots.critic[group.slots] = update.weights
-        excitation = self._sampled.excitation.copy()  # outputs hold the one before
+        excitation = self.sampled.excitation.copy()  # outputs hold the one before
         excitation.reshape(-1)[robots] = update.excitation
-        self._sampled = SampleEvidence(excitation)
+        self.sampled = SampleEvidence(excitation)
         if update.refusal:
             knots.actor[group.slots] = update.weights
             group.refused = True

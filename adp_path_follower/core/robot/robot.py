@@ -122,11 +122,6 @@ class Robot:
         return dataclasses.astuple(self.model) if self._learns else ()
 
     @property
-    def explained(self) -> float:
-        """Return which share of the motion that the ideal model misses the model explains."""
-        return self._trial.explained
-
-    @property
     def report(self) -> dict[str, float]:
         """Return the model's parameters, deviations and what it explains; empty where ideal."""
         if self._kind == "ideal":
@@ -141,7 +136,7 @@ class Robot:
             "ramp [m/s^2]": model.ramp,
             "angular ramp [rad/s^2]": model.angular_ramp,
             **{f"deviation of {name}": size for name, size in zip(names, spread, strict=True)},
-            "explained": self.explained,
+            "explained": self._trial.explained,
         }
 
     def ahead(

@@ -250,7 +250,7 @@ class RecordedDriver:
         route = self._routes.of(change)
         if route is not driver.route:
             driver.follow(route)
-        driver.change_settings(self._wanted(change))
+        driver.take_over(driver.prepared(self._wanted(change)))
 
 
 def _saved_weights(run: Run, first: Configuration | None) -> SavedWeights | None:

@@ -142,7 +142,7 @@ def test_neither_a_new_path_nor_new_parameters_make_the_command_jump():
     driver.follow(circle(1.0))
     pose, time = driven(driver, pose, time, 50, commands)
     for change in ({"speed_limit": 0.1}, {"desired_speed": 0.9}, {"max_angular_vel": 0.2}):
-        driver.change_settings(update(driver.settings, change))
+        driver.take_over(driver.prepared(update(driver.settings, change)))
         pose, time = driven(driver, pose, time, 50, commands)
     assert_within_acceleration_limits(commands)
 

@@ -191,8 +191,8 @@ def test_replanning_keeps_progress_and_an_empty_path_ends_the_job():
 def test_a_speed_that_the_limits_forbid_is_warned_of_once():
     told = []
     driver = Driver(build(Settings, {"desired_speed": 1.5}), tell=told.append)
-    driver.change_settings(driver.settings.with_changes(debug_rate=10.0))
+    driver.take_over(driver.prepared(driver.settings.with_changes(debug_rate=10.0)))
     assert told == ["'desired_speed' is 1.5 m/s, but 'max_linear_vel' 1: the robot drives at 1 m/s"]
-    driver.change_settings(driver.settings.with_changes(max_linear_vel=2.0))
-    driver.change_settings(driver.settings.with_changes(desired_speed=2.5))
+    driver.take_over(driver.prepared(driver.settings.with_changes(max_linear_vel=2.0)))
+    driver.take_over(driver.prepared(driver.settings.with_changes(desired_speed=2.5)))
     assert [text.split(",")[0] for text in told[1:]] == ["'desired_speed' is 2.5 m/s"]

@@ -124,7 +124,7 @@ def test_settings_that_changed_before_the_first_step_are_told_then(learned):
     first, pose, path = learned
     complaints = []
     driver = Driver(first.settings, first.follower.saved_weights(), complaints.append)
-    driver.change_settings(update(first.settings, {"desired_speed": 0.25}))
+    driver.take_over(driver.prepared(update(first.settings, {"desired_speed": 0.25})))
     found, _ = drive(driver, path, 3, pose)
     cold = Driver(driver.settings)
     np.testing.assert_array_equal(found, drive(cold, path, 3, pose)[0])

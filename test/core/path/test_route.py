@@ -135,7 +135,9 @@ def test_reversing_needs_a_speed_for_it():
     driver.follow(prepare(TURNS, PathSettings(allow_reversing=True)))
     driver.step(np.zeros(3), PERIOD)
     with pytest.raises(SettingsError, match="the present path is driven backwards"):
-        driver.change_settings(update(REVERSING, {"allow_reversing": False, "min_linear_vel": 0.0}))
+        driver.take_over(
+            driver.prepared(update(REVERSING, {"allow_reversing": False, "min_linear_vel": 0.0}))
+        )
     assert driver.settings == REVERSING
 
 
@@ -143,7 +145,7 @@ def test_settings_change_on_a_segment_in_reverse():
     driver = Driver(REVERSING)
     driver.follow(Route((Segment(Path.from_points(wave()), reverse=True),)))
     drive(driver, [0.0, 0.0, math.pi], 50)
-    driver.change_settings(update(REVERSING, {"min_linear_vel": -0.2}))
+    driver.take_over(driver.prepared(update(REVERSING, {"min_linear_vel": -0.2})))
     _, outputs, _ = drive(driver, [0.2, 0.1, math.pi], 50)
     assert min(output.command[0] for output in outputs) >= -0.2 - 1e-12
 

@@ -55,7 +55,7 @@ def test_it_finds_the_robot(seed):
     assert model.linear_gain == pytest.approx(gain, abs=0.006)
     assert model.angular_gain == pytest.approx(turn_gain, abs=0.025)
     assert model.bias == pytest.approx(bias, abs=0.01)
-    assert models.driver.robot.explained > 0.5
+    assert models.driver.robot.report["explained"] > 0.5
     assert outcome.rms < 0.005  # the noise of the position
     ideal = run(robot, tuning=settings("ideal"))
     assert outcome.rms < 0.5 * ideal.rms

@@ -108,7 +108,7 @@ def test_ros_run_equals_the_ros_free_run(bags, paper):
     run = read_run(bags[0])
     again = replay(run)
     # The nodes follow the path through the published poses, so the simulation must, too.
-    path = Path.from_points(run.path_points)
+    path = Path.from_points(run.paths[-1][1][:, :2])
     alone = simulate(paper, path, duration=DURATION, record=True)
     assert np.allclose(alone.trajectories.command[0], again.recorded, rtol=0.0, atol=1e-9)
     assert np.allclose(

@@ -65,13 +65,6 @@ class LapierreSoetanto(PeerController):
         )
         return np.stack([speed, turn], axis=-1)
 
-    def lyapunov(self, error: FloatArray) -> FloatArray:
-        """Return V of errors (..., 3), shape (...)."""
-        gains = self.gains
-        s, y, theta = np.moveaxis(error, -1, 0)
-        miss = theta + gains.approach_angle * np.tanh(gains.approach_gain * y)
-        return np.asarray(0.5 * (s * s + y * y) + 0.5 * miss * miss / gains.coupling)
-
 
 class TunedLapierreSoetanto(LapierreSoetanto):
     """The same law at v = v_des - k s.
