@@ -7,9 +7,8 @@ start, v_des = 0.5 m/s, no limits.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from types import MappingProxyType
 
 import numpy as np
 
@@ -47,7 +46,6 @@ Factory = Callable[[Settings, Path, FloatArray], Controller]
 class Peer:
     """A controller to compare with."""
 
-    name: str  # name in tables and on the command line
     description: str  # description, and where it is published
     factory: Factory  # makes it from settings, path and the virtual targets' arc lengths (B,) [m]
     control_rate: float | None = None  # steps per second [Hz]; None for the simulation's
@@ -60,54 +58,42 @@ def _nmpc(settings: Settings, path: Path, arc_length: FloatArray) -> Controller:
     return Nmpc(settings, path, arc_length)
 
 
-_PEERS = (
-    Peer("pure_pursuit", "Pure pursuit (Coulter 1992), look-ahead 1 m", PurePursuit),
-    Peer(
-        "pure_pursuit_tuned",
-        "Pure pursuit (Coulter 1992), look-ahead tuned: 0.6 m",
-        TunedPurePursuit,
+PEERS = {  # by their names in tables and on the command line
+    "pure_pursuit": Peer("Pure pursuit (Coulter 1992), look-ahead 1 m", PurePursuit),
+    "pure_pursuit_tuned": Peer(
+        "Pure pursuit (Coulter 1992), look-ahead tuned: 0.6 m", TunedPurePursuit
     ),
-    Peer(
-        "regulated_pure_pursuit",
+    "regulated_pure_pursuit": Peer(
         "Regulated pure pursuit (Macenski et al. 2023) with Nav2's defaults, without a costmap",
         RegulatedPurePursuit,
     ),
-    Peer(
-        "regulated_pure_pursuit_tuned",
+    "regulated_pure_pursuit_tuned": Peer(
         "Regulated pure pursuit (Macenski et al. 2023), look-ahead by speed and slowing down tuned",
         TunedRegulatedPurePursuit,
     ),
-    Peer("stanley", "Stanley's law (Hoffmann et al. 2007) on a virtual bicycle", Stanley),
-    Peer(
-        "stanley_tuned",
+    "stanley": Peer("Stanley's law (Hoffmann et al. 2007) on a virtual bicycle", Stanley),
+    "stanley_tuned": Peer(
         "Stanley's law (Hoffmann et al. 2007) at the robot, with curvature feed-forward, tuned",
         TunedStanley,
     ),
-    Peer(
-        "lapierre_soetanto",
+    "lapierre_soetanto": Peer(
         "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at v = v_des",
         LapierreSoetanto,
     ),
-    Peer(
-        "lapierre_soetanto_tuned",
+    "lapierre_soetanto_tuned": Peer(
         "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at "
         "v = v_des - k s, tuned",
         TunedLapierreSoetanto,
     ),
-    Peer(
-        "lqr",
-        "Linear-quadratic regulator scheduled by curvature, with the true input matrix",
-        Lqr,
+    "lqr": Peer(
+        "Linear-quadratic regulator scheduled by curvature, with the true input matrix", Lqr
     ),
-    Peer(
-        "nmpc",
+    "nmpc": Peer(
         "Nonlinear model predictive control over 3 s (CasADi), with the curvature ahead",
         _nmpc,
         control_rate=20.0,
     ),
-)
-
-PEERS: Mapping[str, Peer] = MappingProxyType({peer.name: peer for peer in _PEERS})
+}
 
 OWN = {
     "adp": "Approximate optimal control, learned before the start (warm)",
@@ -158,7 +144,7 @@ def register_peer(
                 f"peer '{name}': {item.name} of the output of step for 2 robots has shape "
                 f"{found.shape}, but must be finite and of shape {shape}"
             )
-    OWN_PEERS.register(name, Peer(name, description, factory, control_rate))
+    OWN_PEERS.register(name, Peer(description, factory, control_rate))
 
 
 # Shapes of one robot's numbers in `ControlOutput`.

@@ -38,7 +38,7 @@ def write_sweep_page(found: Results, title: str, file: FilePath) -> None:
         found=found,
         conditions=found.request.conditions,
         names=[item.name for item in found.request.variations],
-        objectives=[OBJECTIVES[name] for name in found.request.objectives],
+        objectives=[(name, OBJECTIVES[name]) for name in found.request.objectives],
         rows=[_row(found, trial) for trial in found.stable[:_ROWS]],
         front=[_row(found, trial) for trial in found.front[:_ROWS]],
         captions=[(key, title, caption) for key, (title, caption, _) in figures.items()],

@@ -15,7 +15,6 @@ Columns = Mapping[str, np.ndarray]
 class Objective:
     """A number that is to be small."""
 
-    name: str  # as files name it
     meaning: str  # in words
     unit: str  # unit of the number
     of: Callable[[Columns], float]  # returns it from the columns of all runs with the same settings
@@ -27,46 +26,37 @@ def cost_column(columns: Columns) -> np.ndarray:
     return np.asarray(columns["cost_ratio" if known else "cost"], dtype=float)
 
 
-OBJECTIVES = {
-    item.name: item
-    for item in (
-        Objective(
-            "cost",
-            "mean J/J* of the runs, or mean J where J* is not known of all",
-            "",
-            lambda columns: float(np.mean(cost_column(columns))),
-        ),
-        Objective(
-            "worst_case",
-            "greatest J/J* (or J) of any run: over starts, paths, robots and noise",
-            "",
-            lambda columns: float(np.max(cost_column(columns))),
-        ),
-        Objective(
-            "effort",
-            "mean ∫ uᵀRu of the runs",
-            "",
-            lambda columns: float(np.mean(columns["effort"])),
-        ),
-        Objective(
-            "cross_track",
-            "RMS distance from the path after the transient, over all runs",
-            "m",
-            lambda columns: math.sqrt(float(np.mean(columns["cross_track_rms"] ** 2))),
-        ),
-        Objective(
-            "worst_cross_track",
-            "greatest distance from the path after the transient, of any run",
-            "m",
-            lambda columns: float(np.max(columns["cross_track_max"])),
-        ),
-        Objective(
-            "settling_time",
-            "longest settling time of any run",
-            "s",
-            lambda columns: float(np.max(columns["settling_time"])),
-        ),
-    )
+OBJECTIVES = {  # by the names that files give them
+    "cost": Objective(
+        "mean J/J* of the runs, or mean J where J* is not known of all",
+        "",
+        lambda columns: float(np.mean(cost_column(columns))),
+    ),
+    "worst_case": Objective(
+        "greatest J/J* (or J) of any run: over starts, paths, robots and noise",
+        "",
+        lambda columns: float(np.max(cost_column(columns))),
+    ),
+    "effort": Objective(
+        "mean ∫ uᵀRu of the runs",
+        "",
+        lambda columns: float(np.mean(columns["effort"])),
+    ),
+    "cross_track": Objective(
+        "RMS distance from the path after the transient, over all runs",
+        "m",
+        lambda columns: math.sqrt(float(np.mean(columns["cross_track_rms"] ** 2))),
+    ),
+    "worst_cross_track": Objective(
+        "greatest distance from the path after the transient, of any run",
+        "m",
+        lambda columns: float(np.max(columns["cross_track_max"])),
+    ),
+    "settling_time": Objective(
+        "longest settling time of any run",
+        "s",
+        lambda columns: float(np.max(columns["settling_time"])),
+    ),
 }
 
 
