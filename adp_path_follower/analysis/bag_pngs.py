@@ -4,33 +4,27 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path as FilePath
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
 from adp_path_follower.drawing.charts import KINDS
-from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, STYLE, color, is_dashed
+from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, color, is_dashed
+from adp_path_follower.drawing.run_figures import save_figures
 
 
 def draw_bags(analyses: Sequence[BagAnalysis], directory: FilePath) -> list[FilePath]:
     """Draw the figures of one or several bags; return the files."""
-    directory.mkdir(parents=True, exist_ok=True)
     charts = [analysis.charts for analysis in analyses]
     panels = dict.fromkeys(key for chart in charts for key in chart.panels)
     histograms = dict.fromkeys(key for chart in charts for key in chart.histograms)
-    drawings: dict[str, Callable[[], Figure]] = {"track": partial(_track, analyses)}
-    drawings |= {key: partial(_over_time, analyses, key) for key in panels}
-    drawings |= {key: partial(_histogram, analyses, key) for key in histograms}
+    drawings: dict[str, Callable[[], Figure]] = {"track.png": partial(_track, analyses)}
+    drawings |= {f"{key}.png": partial(_over_time, analyses, key) for key in panels}
+    drawings |= {f"{key}.png": partial(_histogram, analyses, key) for key in histograms}
     if any(analysis.events for analysis in analyses):
-        drawings["events"] = partial(_events, analyses)
-    files = []
-    with mpl.rc_context(STYLE):
-        for name, draw in drawings.items():
-            files.append(directory / f"{name}.png")
-            draw().savefig(files[-1], bbox_inches="tight")
-    return files
+        drawings["events.png"] = partial(_events, analyses)
+    return save_figures(drawings, directory)
 
 
 def _plain(text: str) -> str:

@@ -2,14 +2,13 @@
 
 from pathlib import Path as FilePath
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
 from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Run
-from adp_path_follower.drawing.figure_style import COLORS, STYLE
-from adp_path_follower.drawing.run_figures import RunView
+from adp_path_follower.drawing.figure_style import COLORS
+from adp_path_follower.drawing.run_figures import RunView, save_figures
 from adp_path_follower.study.replay.replay import Replay
 
 
@@ -40,15 +39,18 @@ def view_of_replay(run: Run, replay: Replay) -> RunView:
 
 def draw_replay(replay: Replay, file: FilePath) -> None:
     """Draw recorded and replayed commands over time."""
+    save_figures({file.name: lambda: _figure(replay)}, file.parent)
+
+
+def _figure(replay: Replay) -> Figure:
     time = (replay.stamp - replay.stamp[0]) * 1e-9
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 5.0))
-        panels = figure.subplots(2, 1, sharex=True)
-        for column, (axes, label) in enumerate(zip(panels, ("v [m/s]", "ω [rad/s]"), strict=True)):
-            axes.plot(time, replay.recorded[:, column], color="0.6", linewidth=3, label="recorded")
-            axes.plot(time, replay.replayed[:, column], color=COLORS[1], label="replayed")
-            axes.set_ylabel(label)
-        panels[0].set_title("Commands to the recorded odometry")
-        panels[0].legend()
-        panels[1].set_xlabel("time [s]")
-        figure.savefig(file, bbox_inches="tight")
+    figure = Figure(figsize=(9.0, 5.0))
+    panels = figure.subplots(2, 1, sharex=True)
+    for column, (axes, label) in enumerate(zip(panels, ("v [m/s]", "ω [rad/s]"), strict=True)):
+        axes.plot(time, replay.recorded[:, column], color="0.6", linewidth=3, label="recorded")
+        axes.plot(time, replay.replayed[:, column], color=COLORS[1], label="replayed")
+        axes.set_ylabel(label)
+    panels[0].set_title("Commands to the recorded odometry")
+    panels[0].legend()
+    panels[1].set_xlabel("time [s]")
+    return figure
