@@ -171,7 +171,9 @@ class RecordedDriver:
         self._routes = RecordedRoutes(run, settings, self._overlay)
         # Number of a step, and what a controller that drives like this says before it.
         self.configurations: list[tuple[int, str]] = []
-        self._count, self._last = 0, NO_STEP
+        self.outputs: list[FollowerOutput] = []  # of all steps so far
+        self.costs: list[float] = []  # J at each of them
+        self._last = NO_STEP
         told = run.configurations if "measured_pose" in run.series else ()
         self._changes = iter([parse_configuration(text) for _, text in told])
         self._next = next(self._changes, None)
@@ -210,7 +212,7 @@ class RecordedDriver:
 
     def step(self, pose: FloatArray, stamp: int, motion: FloatArray) -> FollowerOutput:
         """Return the output for a pose and motion (3,) at a time [ns]; FileError if impossible."""
-        changed = self._count == 0
+        changed = not self.outputs
         while self._next is not None and self._next.after_step < stamp:
             self._change(self._next)
             self._next = next(self._changes, None)
@@ -218,7 +220,7 @@ class RecordedDriver:
         if self._driver.route is None:
             raise FileError("the bag has control steps from before the controller had a path")
         if changed:
-            self.configurations.append((self._count, self._text()))
+            self.configurations.append((len(self.outputs), self._text()))
         try:
             with np.errstate(all="ignore"):  # a damaged pose raises below, once
                 known = motion if np.isfinite(motion).all() else None
@@ -229,7 +231,9 @@ class RecordedDriver:
         if not sound:  # where no robot ever was
             text = ", ".join(f"{value:g}" for value in pose)
             raise FileError(f"no command follows from the pose ({text}) at {stamp} ns")
-        self._count, self._last = self._count + 1, stamp
+        self._last = stamp
+        self.outputs.append(output)
+        self.costs.append(float(self.follower.cost))
         return output
 
     def _text(self) -> str:

@@ -49,18 +49,10 @@ class Replay:
     configurations: tuple[tuple[int, str], ...]
 
     @classmethod
-    def by(
-        cls,
-        driver: RecordedDriver,
-        steps: Steps,
-        recorded: FloatArray,
-        outputs: list[FollowerOutput],
-        cost: list[float],
-    ) -> Self:
+    def by(cls, driver: RecordedDriver, steps: Steps, recorded: FloatArray) -> Self:
         """Return the replay that a driver has made."""
-        said = tuple(driver.configurations)
-        follower, settings = driver.follower, driver.settings
-        return cls(follower, settings, steps, recorded, outputs, np.array(cost), said)
+        said, cost = tuple(driver.configurations), np.array(driver.costs)
+        return cls(driver.follower, driver.settings, steps, recorded, driver.outputs, cost, said)
 
     @property
     def stamp(self) -> np.ndarray:
@@ -102,18 +94,15 @@ def replay(
     if settings is None and "measured_pose" not in run.series:
         settings = recorded_settings(run) if overlay else _settings_of_odometry_steps(run)
     driver = RecordedDriver(run, settings, overlay)
-    outputs: list[FollowerOutput] = []
-    cost = []
     for pose, stamp, motion in zip(steps.pose, steps.stamp.tolist(), steps.motion, strict=True):
-        outputs.append(driver.step(pose, stamp, motion))
-        cost.append(float(driver.follower.cost))
+        driver.step(pose, stamp, motion)
         if driver.at_goal and "measured_pose" not in run.series:
             break  # from here on the node commands zero velocity
-    count = len(outputs)
+    count = len(driver.outputs)
     steps = Steps(*(values[:count] for values in vars(steps).values()))
-    commands = np.array([output.command for output in outputs])
+    commands = np.array([output.command for output in driver.outputs])
     recorded = _recorded(run.series.get("cmd_vel"), steps, commands)
-    return Replay.by(driver, steps, recorded, outputs, cost)
+    return Replay.by(driver, steps, recorded)
 
 
 def steps_of(run: Run) -> Steps:
@@ -196,24 +185,23 @@ def rerun(
     driver = RecordedDriver(run, settings, overlay)
     stamp, last = int(recorded.stamp[0]), int(recorded.stamp[-1])
     robot = Unicycle(recorded.pose[0], PlantSettings())
-    stamps, poses, velocities, cost = [], [], [], []
-    outputs: list[FollowerOutput] = []
-    while stamp <= last and not (outputs and driver.at_goal):
+    stamps: list[int] = []
+    poses, velocities = [], []
+    while stamp <= last and not (stamps and driver.at_goal):
         stamps.append(stamp)
         poses.append(robot.measured_pose())
         velocities.append(robot.twist)
-        outputs.append(driver.step(poses[-1], stamp, np.append(robot.twist, 0.0)))
-        cost.append(float(driver.follower.cost))
+        output = driver.step(poses[-1], stamp, np.append(robot.twist, 0.0))
         period = 1.0 / driver.settings.controller.controller_frequency
-        robot.step(outputs[-1].command, period)
+        robot.step(output.command, period)
         stamp += round(period * _NANOSECONDS)
-    count = len(outputs)
+    count = len(stamps)
     stamp_array = np.array(stamps)
     arrival = recorded.arrival[0] + stamp_array - stamp_array[0]
     motion = np.column_stack([velocities, np.zeros(count)])
     steps = Steps(stamp_array, np.array(poses), arrival, motion)
     nothing = np.full((count, 2), np.nan)
-    return Replay.by(driver, steps, nothing, outputs, cost), np.array(velocities)
+    return Replay.by(driver, steps, nothing), np.array(velocities)
 
 
 @dataclass(frozen=True)
