@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adp_path_follower.core.errors import AdpError, PathError
+from adp_path_follower.core.errors import PathError
 from adp_path_follower.core.files import expanded
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path, path_through
@@ -156,6 +156,7 @@ def compare(
 
     """
     from adp_path_follower.study.comparison.compare import compare as run
+    from adp_path_follower.study.simulation.simulate import checked_starts, read_starts
 
     chosen = _settings(settings)
     plant, faults = _robot(robot)
@@ -163,7 +164,7 @@ def compare(
         chosen,
         str(path) if isinstance(path, str | FilePath) else "path",
         globals()["path"](path, settings=chosen),
-        _starts(starts),
+        read_starts() if starts is None else checked_starts(starts),
         list(controllers),
         start_arc_length=start_arc_length,
         duration=duration,
@@ -230,14 +231,3 @@ def _robot(given: Mapping[str, object] | str | None) -> tuple[PlantSettings, Fau
     return without_nodes(
         simulator_settings({"robot": given} if isinstance(given, str) else given or {})
     )
-
-
-def _starts(given: ArrayLike | None) -> np.ndarray:
-    if given is None:
-        from adp_path_follower.study.simulation.simulate import read_starts
-
-        return read_starts()
-    try:
-        return np.asarray(given, dtype=float).reshape(-1, 3)
-    except (TypeError, ValueError):
-        raise AdpError("starts must be finite values s, y, theta, three for each start") from None

@@ -114,14 +114,6 @@ class Headline:
     cards: tuple[tuple[str, str, str], ...]
 
 
-@dataclass(frozen=True)
-class _Row:
-    """One line of the table of metrics: a cell for each bag, and whether it is the best."""
-
-    metric: Metric
-    cells: tuple[tuple[str, bool], ...]
-
-
 def write_report(
     analyses: Sequence[BagAnalysis], requirements: Sequence[Requirement], file: FilePath
 ) -> None:
@@ -170,14 +162,15 @@ def _captions(
     return found
 
 
-def _rows(analyses: Sequence[BagAnalysis]) -> list[_Row]:
+def _rows(analyses: Sequence[BagAnalysis]) -> list[tuple[Metric, list[tuple[str, bool]]]]:
+    """Return the table of metrics: a cell for each bag, and whether it is the best."""
     rows = []
     for metric in METRICS:
         texts = [number(analysis.metrics[metric.name], 5) for analysis in analyses]
         best = _best(metric, analyses)
         # No star where two share the best value as it is printed.
         stars = [place == best and texts.count(text) == 1 for place, text in enumerate(texts)]
-        rows.append(_Row(metric, tuple(zip(texts, stars, strict=True))))
+        rows.append((metric, list(zip(texts, stars, strict=True))))
     return rows
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.bellman import BellmanErrors
-from adp_path_follower.core.learning.learner import Evidence
+from adp_path_follower.core.learning.learner import SampleEvidence
 from adp_path_follower.core.learning.weights import Weights
 
 
@@ -25,7 +25,7 @@ class FollowerOutput(ControlOutput):
     running_cost: FloatArray  # e^T Q e + u^T R u, shape (...)
     weights: Weights  # critic and actor weights that gave the command, shape (..., L) each
     measured: BellmanErrors  # at the measured state
-    sampled: Evidence  # how well the samples determine the weights
+    sampled: BellmanErrors | SampleEvidence  # how well the samples determine the weights
     # Share of the Riccati policy, because the learned value function does not decrease here as
     # it must, shape (...).
     doubt: FloatArray
@@ -36,6 +36,6 @@ class FollowerOutput(ControlOutput):
         return self.measured.error[..., 0]
 
     @property
-    def excitation(self) -> FloatArray | float:
+    def excitation(self) -> FloatArray:
         """Return the certificate of excitation, shape (...)."""
         return self.sampled.excitation

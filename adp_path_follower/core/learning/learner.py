@@ -26,12 +26,11 @@ class Observation:
     distance: float = 0.0
 
 
-class Evidence(Protocol):
-    """How well the samples determine the weights."""
+@dataclass(frozen=True)
+class SampleEvidence:
+    """How well the samples of each robot's latest knot determine its weights."""
 
-    @property
-    def excitation(self) -> FloatArray | float:
-        """Return the certificate of excitation, shape (...)."""
+    excitation: FloatArray  # the certificate, shape (...); not a number before the first knot
 
 
 class Learner(Protocol):
@@ -42,7 +41,7 @@ class Learner(Protocol):
         """Return why the safe policy has taken over, empty if it has not."""
 
     @property
-    def sampled(self) -> Evidence:
+    def sampled(self) -> BellmanErrors | SampleEvidence:
         """Return how well the samples determine the present weights."""
 
     def local(self, arc_length: FloatArray) -> LocalWeights:

@@ -13,7 +13,6 @@ weights of its own; those that sweep the same knots share the sweep.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,7 +21,12 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.knot_critic import KnotCritic
 from adp_path_follower.core.learning.knot_model import KnotModel
 from adp_path_follower.core.learning.knot_weights import KnotWeights
-from adp_path_follower.core.learning.learner import Learner, Observation, actor_bound
+from adp_path_follower.core.learning.learner import (
+    Learner,
+    Observation,
+    SampleEvidence,
+    actor_bound,
+)
 from adp_path_follower.core.learning.sweep import Group, Sweep
 from adp_path_follower.core.learning.update_laws import follow
 from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
@@ -46,13 +50,6 @@ MODEL_SETTINGS = (  # that decide the weights
     "sample_seed",
     "initial_weights",
 )
-
-
-@dataclass(frozen=True)
-class SampleEvidence:
-    """How well the samples of each robot's latest knot determine its weights."""
-
-    excitation: FloatArray  # the certificate, shape (...); not a number before the first knot
 
 
 class PathLearner:

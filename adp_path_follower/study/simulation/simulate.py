@@ -152,7 +152,7 @@ def simulate(
     is the same with any number. Raises AdpError for a start, duration or rate that is not finite,
     or not positive.
     """
-    errors = _checked_starts(starts)
+    errors = checked_starts(starts)
     _check(start_arc_length, duration, rate, learning, at_once)
     if learning == "frozen":
         settings = update(settings, {"learning": False})
@@ -193,8 +193,8 @@ def simulate(
     return _joined(results, None if recorder is None else recorder.trajectories())
 
 
-def _checked_starts(starts: ArrayLike) -> FloatArray:
-    """Return the starts, shape (B, 3), or raise `AdpError`."""
+def checked_starts(starts: ArrayLike) -> FloatArray:
+    """Return starts (3,) or (B, 3) as an array (B, 3); AdpError if they are none, or not finite."""
     try:
         errors = np.atleast_2d(np.asarray(starts, dtype=float))
     except (TypeError, ValueError):
