@@ -51,7 +51,6 @@ class SimulatorNode(Ending, Node):
     """
 
     def __init__(self) -> None:
-        """Declare the parameters and start."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         self._settings = declare_settings(self, SimulatorSettings, with_robot)
         LiveSettings(self, self._settings, self._prepare_settings)

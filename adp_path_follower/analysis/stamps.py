@@ -42,7 +42,6 @@ class Clock:
     """Translates arrival into the clock of the odometry's stamps, where that is another."""
 
     def __init__(self, odometry: Timeline) -> None:
-        """Take the odometry, which has both times."""
         stamps, arrivals = odometry.all_stamps, odometry.all_arrivals
         self.is_arrival = odometry.by_arrival
         self._other = bool(len(stamps)) and abs(_median(arrivals - stamps)) > _OTHER_CLOCK

@@ -29,7 +29,6 @@ class Transforms:
     """The tree of frames of a bag, in the plane."""
 
     def __init__(self) -> None:
-        """Begin without any."""
         self._edges: dict[str, _Edge] = {}
 
     def take(self, arrival: int, raw: bytes, is_static: bool) -> None:

@@ -72,7 +72,6 @@ class MessageDecoder:
     """Reads the numbers of messages of one type."""
 
     def __init__(self, kind: NumbersKind) -> None:
-        """Take the type."""
         self._kind = kind
         self.broken = 0  # messages that were not of the type
 

@@ -42,7 +42,6 @@ class PathPublisherNode(Ending, Node):
     """Publish one path, and again whenever a parameter changes."""
 
     def __init__(self) -> None:
-        """Read the path and publish it."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         settings = declare_settings(self, PathPublisherSettings)
         message = self._message(settings)

@@ -65,10 +65,8 @@ def _is_text(data: bytes) -> bool:
     return all(letter.isprintable() or letter in "\n\r\t" for letter in text)
 
 
-@functools.lru_cache(maxsize=256)
-def message_definition(name: str, encoding: str, data: bytes) -> MessageDefinition:
-    """Return what a schema defines; parsing takes some milliseconds."""
-    return MessageDefinition(name, encoding, data)
+# As parsing takes some milliseconds.
+message_definition = functools.lru_cache(maxsize=256)(MessageDefinition)
 
 
 def jazzy_schema(schema: Schema) -> Schema | None:

@@ -21,7 +21,6 @@ class Actuation:
     """
 
     def __init__(self) -> None:
-        """Begin with a robot at rest."""
         self.time: int | None = None  # of the last command [ns], if known
         self._elapsed = 0.0  # [s] from the last command to the next
         self.stop(forget=True)

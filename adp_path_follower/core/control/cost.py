@@ -13,7 +13,6 @@ class RunningCost:
     """The running cost e^T Q e + u^T R u."""
 
     def __init__(self, cost: CostSettings) -> None:
-        """Take Q and R."""
         self.state_cost = cost.state_cost_matrix()
         self.input_cost = cost.input_cost_matrix()
 

@@ -66,7 +66,6 @@ class Distrust:
     """
 
     def __init__(self) -> None:
-        """Begin without earlier doubt."""
         self.reset()
 
     def reset(self) -> None:

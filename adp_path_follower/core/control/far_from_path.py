@@ -98,7 +98,6 @@ class GridPolicy:
     """The policy of the value function on a grid, which is found when the first robot needs it."""
 
     def __init__(self, settings: Settings) -> None:
-        """Take all settings."""
         self._settings = settings
         self._grid = stored(problem_of(settings))
         self._input_cost_inverse = settings.cost.inverse_input_cost()

@@ -101,7 +101,6 @@ class Standstill:
     """Waits for a robot to stand still."""
 
     def __init__(self) -> None:
-        """Begin to wait."""
         self._seen: deque[tuple[int, float, float, float]] = deque()
         self._since: int | None = None
 

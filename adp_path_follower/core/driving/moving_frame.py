@@ -23,7 +23,6 @@ class MovingFrame:
     """Brings poses of odometry into the frame of a path by the latest transform."""
 
     def __init__(self) -> None:
-        """Begin without a transform."""
         self._place: FloatArray | None = None
         self._stamp: int | None = None
         self._drift = np.zeros(2)  # of the robot in the frame of the path [m/s]

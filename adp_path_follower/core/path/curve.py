@@ -34,7 +34,6 @@ class TurningBackError(PathError):
     """Report a path that turns back on itself, and where: x, y [m]."""
 
     def __init__(self, x: float, y: float) -> None:
-        """Name the place."""
         super().__init__(
             f"path turns back on itself, or has too sharp a corner, near ({x:.2f}, {y:.2f}): "
             "smooth it there, or cut it into two paths"

@@ -33,7 +33,6 @@ class ConstantSpeed:
     varies = stops = False
 
     def __init__(self, target: TargetSettings) -> None:
-        """Take the speed of the settings."""
         self.highest = self.slowest = target.desired_speed
 
     def speed(self, arc_length: FloatArray) -> Number:

@@ -17,7 +17,6 @@ class CommandHistory:
     """Remembers commands [m/s, rad/s] and their times; before the first, the robot rests."""
 
     def __init__(self) -> None:
-        """Begin with a robot at rest."""
         self.last = (0.0, 0.0)
         self.ramps = (math.inf, math.inf)  # of v and w, by the firmware [m/s^2, rad/s^2]
         self._times: list[float] = []

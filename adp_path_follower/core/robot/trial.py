@@ -17,7 +17,6 @@ class Trial:
     """Foretells the next window of the motion by both models, and keeps the mean errors."""
 
     def __init__(self) -> None:
-        """Begin without evidence."""
         self.failed = False  # by worse errors than the ideal model's
         self._mine = self._ideal = 0.0  # mean squared errors [m^2]
         self._windows = 0

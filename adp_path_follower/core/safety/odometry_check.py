@@ -33,7 +33,6 @@ class OdometryCheck:
     """Compares each odometry message with those before it."""
 
     def __init__(self) -> None:
-        """Begin without a message."""
         self._stamp: int | None = None
         self._pose, self._twist = (0.0, 0.0, 0.0), (0.0, 0.0)
         self._frame = ""
@@ -174,7 +173,6 @@ class MissingTwist:
     """
 
     def __init__(self) -> None:
-        """Begin without a message."""
         self.missing = False  # whether odometry was found to have no velocity
         self._given = False  # whether any message had one
         self._first: tuple[float, float] | None = None  # [m]: where a steady motion began

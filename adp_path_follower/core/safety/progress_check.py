@@ -10,7 +10,6 @@ class ProgressCheck:
     """Remembers where the robot was last seen to have made progress."""
 
     def __init__(self) -> None:
-        """Begin with a robot that does not follow."""
         self._place: tuple[float, float] | None = None
         self._since = 0.0
 

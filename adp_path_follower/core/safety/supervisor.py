@@ -67,7 +67,6 @@ class Supervisor:
     """
 
     def __init__(self, odom_timeout: float) -> None:
-        """Start without path and odometry."""
         self.odom_timeout = odom_timeout  # [s]; may be changed
         self.active = False
         self.tick_time: float | None = None  # of the last turn of the control timer

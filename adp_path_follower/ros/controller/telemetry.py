@@ -60,7 +60,6 @@ class StatusLog:
     """Tells the log a status when it changes; where only its cause does, once a second."""
 
     def __init__(self, log: RcutilsLogger) -> None:
-        """Begin with a controller that is not active."""
         self._log, self._told, self._until = log, Status(State.INACTIVE), 0.0
 
     def tell(self, status: Status, now: float) -> bool:

@@ -60,16 +60,6 @@ def make_header(time: int, frame: str) -> Header:
     return header
 
 
-def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the heading [rad] of a quaternion of any norm; MessageError if it is none or zero."""
-    squared_norm = x * x + y * y + z * z + w * w
-    if not math.isfinite(squared_norm):
-        raise MessageError(f"orientation is not finite: x {x}, y {y}, z {z}, w {w}")
-    if squared_norm < 1e-6:
-        raise MessageError("orientation is a quaternion of zero norm")
-    return yaw_of_quaternion(x, y, z, w)
-
-
 def quaternion_of(yaw: float) -> Quaternion:
     """Return the rotation by a heading [rad]."""
     return Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw))
@@ -82,11 +72,14 @@ def measurement_of(raw: bytes) -> Measurement:
     """
     try:
         found = read_odometry(raw)
-        yaw = yaw_of(*found.quaternion)
     except CdrError as error:
         raise MessageError(f"odometry cannot be read: {error}") from None
-    except MessageError as error:
-        raise MessageError(f"odometry {error}") from None
+    squared_norm = sum(part * part for part in found.quaternion)
+    if not math.isfinite(squared_norm):
+        x, y, z, w = found.quaternion
+        raise MessageError(f"odometry orientation is not finite: x {x}, y {y}, z {z}, w {w}")
+    if squared_norm < 1e-6:
+        raise MessageError("odometry orientation is a quaternion of zero norm")
     if not found.frame:
         raise MessageError("odometry has no frame: set header.frame_id, as in 'odom'")
     (x, y, _), v, w = found.position, found.linear, found.angular
@@ -94,7 +87,7 @@ def measurement_of(raw: bytes) -> Measurement:
         raise MessageError(f"odometry is not finite: x {x}, y {y}, v {v}, w {w}")
     return Measurement(
         stamp=found.seconds * NANOSECONDS + found.nanoseconds,
-        pose=np.array([x, y, yaw]),
+        pose=np.array([x, y, yaw_of_quaternion(*found.quaternion)]),
         twist=np.array([v, w]),
         frame=found.frame,
         child_frame=found.child_frame,

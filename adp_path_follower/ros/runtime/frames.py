@@ -104,11 +104,3 @@ class Frames:
     def _parent(self, frame: str) -> str | None:
         edge = self._edges.get(frame)
         return None if edge is None else edge[0]
-
-
-def frames_of(node: Node) -> Frames | None:
-    """Return what knows the frames, None where `tf2_msgs` is not installed."""
-    try:
-        return Frames(node)
-    except ImportError:
-        return None

@@ -1,5 +1,6 @@
 """Where the robot is in the frame of its path, by odometry and the latest transform."""
 
+import contextlib
 from collections.abc import Callable
 
 from rclpy.node import Node
@@ -7,7 +8,7 @@ from rclpy.node import Node
 from adp_path_follower.core.driving.moving_frame import MovingFrame
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.navigation import NavigationSettings
-from adp_path_follower.ros.runtime.frames import FrameError, frames_of
+from adp_path_follower.ros.runtime.frames import FrameError, Frames
 
 
 class PathFrame:
@@ -16,7 +17,9 @@ class PathFrame:
     def __init__(self, node: Node, settings: Callable[[], NavigationSettings]) -> None:
         """Begin without odometry; listen to transforms once a path is in another frame."""
         self._node, self._settings = node, settings
-        self._frames = frames_of(node)
+        self._frames: Frames | None = None
+        with contextlib.suppress(ImportError):  # without `tf2_msgs`
+            self._frames = Frames(node)
         self._odometry, self._robot = "", ""  # frames, empty until odometry has come
         self._moving = MovingFrame()
         self._located_in = ""  # the frame that it is about

@@ -35,7 +35,6 @@ class StopRequest:
     """
 
     def __init__(self) -> None:
-        """Take over the signals."""
         self._signalled = False
         self._parent = watched_parent()
         for number in ending_signals():

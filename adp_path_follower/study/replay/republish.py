@@ -58,7 +58,6 @@ class _Player:
     """Publishers of what a controller listens to."""
 
     def __init__(self, node: Node) -> None:
-        """Create them."""
         self._node = node
         self._answered = False
         node.create_subscription(TwistStamped, "cmd_vel", self._take_command, 10)

@@ -81,7 +81,6 @@ class RegulatedPurePursuit(PeerController):
     rules = RegulationRules()
 
     def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
-        """Start at rest."""
         super().__init__(settings, path, arc_length)
         # In place of the odometry's twist, which Nav2 takes.
         self._twist = np.zeros(2)
