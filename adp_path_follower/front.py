@@ -196,11 +196,11 @@ def optimum(
         AdpError: An argument is wrong, there is no optimum, or CasADi is missing.
 
     """
-    from adp_path_follower.study.optimum.collocation import solve_optimum
+    from adp_path_follower.study.optimum.collocation import OptimumSolver
 
     chosen = _settings(settings)
     followed = globals()["path"](path, settings=chosen)
-    return solve_optimum(chosen, followed, np.asarray(start, float), start_arc_length, horizon)
+    return OptimumSolver(chosen, followed, start_arc_length, horizon).solve(np.asarray(start))
 
 
 def analyze(bag: str | FilePath, *, topics: Mapping[str, str] | None = None) -> BagAnalysis:

@@ -120,9 +120,9 @@ def _optimum(
         places = arc_length + cumulative_trapezoid(speed, time, initial=0.0)
         return found.cost, _poses(path, time, errors, places), ()
     try:
-        from adp_path_follower.study.optimum.collocation import solve_optimum
+        from adp_path_follower.study.optimum.collocation import OptimumSolver
 
-        optimum = solve_optimum(settings, path, error, arc_length, COST_HORIZON)
+        optimum = OptimumSolver(settings, path, arc_length, COST_HORIZON).solve(error)
     except AdpError as problem:  # no CasADi, or no optimum found
         return math.nan, None, (f"no J*: {problem}",)
     motion = optimum.motion

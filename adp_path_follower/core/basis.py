@@ -82,13 +82,9 @@ class Expansion:
         slope = tuple(partials[..., axis] for axis in range(partials.shape[-1]))
         slope = (*slope, np.zeros_like(slope[0]))[:4]
         if self.frame is not None:
-            frame = HalfTurn(*(np.asarray(part)[..., None] for part in _fields(self.frame)))
+            frame = HalfTurn(*(np.asarray(part)[..., None] for part in vars(self.frame).values()))
             slope = frame.pulled_back(slope)
         return components(*slope)
-
-
-def _fields(frame: HalfTurn) -> Numbers:
-    return frame.a, frame.b, frame.cos, frame.sin
 
 
 class Basis(ABC):

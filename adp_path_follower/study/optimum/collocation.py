@@ -86,24 +86,12 @@ class Optimum:
         return self.horizon_change <= SETTLED
 
 
-def solve_optimum(
-    settings: Settings,
-    path: Path,
-    start: FloatArray,
-    start_arc_length: float = 0.0,
-    horizon: float = HORIZON,
-) -> Optimum:
-    """Return the optimal motion from an initial error [s, y, theta], shape (3,).
+class OptimumSolver:
+    """Optima from many starts at one place of a path; meshes are transcribed once.
 
     v_des, k1, Q, R and the limits are those of `settings`. The virtual target starts at
-    `start_arc_length` [m]; after `horizon` [s] nothing is left to win. Raises OptimumError if no
-    starting guess converged, or if J still changes with the mesh.
+    `start_arc_length` [m]; after `horizon` [s] nothing is left to win.
     """
-    return OptimumSolver(settings, path, start_arc_length, horizon).solve(start)
-
-
-class OptimumSolver:
-    """Optima from many starts at one place of a path; meshes are transcribed once."""
 
     def __init__(
         self,
@@ -112,7 +100,7 @@ class OptimumSolver:
         start_arc_length: float = 0.0,
         horizon: float = HORIZON,
     ) -> None:
-        """Prepare; see `solve_optimum`."""
+        """Prepare; raise OptimumError for a place or a horizon that is not possible."""
         if not (math.isfinite(start_arc_length) and 0.0 < horizon <= _LONGEST_HORIZON):
             raise OptimumError(
                 f"start_arc_length is {start_arc_length} m and horizon {horizon} s, but they must "
@@ -123,9 +111,10 @@ class OptimumSolver:
         self._mesh = functools.lru_cache(_MOST_MESHES)(self._transcribed)
 
     def solve(self, start: FloatArray, ways: Sequence[Motion] = ()) -> Optimum:
-        """Return the optimal motion from an error [s, y, theta]; raises as `solve_optimum` does.
+        """Return the optimal motion from an initial error [s, y, theta], shape (3,).
 
-        `ways` are known motions from there, and further starting guesses.
+        `ways` are known motions from there, and further starting guesses. Raises OptimumError if no
+        guess converged, or if J still changes with the mesh.
         """
         start = np.asarray(start, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():

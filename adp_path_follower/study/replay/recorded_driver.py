@@ -7,7 +7,6 @@ import numpy as np
 
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.driving.driver import Driver
-from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.driving.output import Counts, FollowerOutput
 from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.geometry import FloatArray
@@ -158,7 +157,7 @@ def recorded_settings(run: Run) -> Settings:
     return parse_configuration(run.configuration).settings
 
 
-class RecordedDriver:
+class RecordedDriver(Driver):
     """Drives as the controller node did, from what it said about paths and parameters."""
 
     def __init__(
@@ -182,9 +181,9 @@ class RecordedDriver:
         saved = _saved_weights(run, self._next)
         self._saved_weights = "" if saved is None else saved.digest
         counts = Counts() if self._next is None else self._next.counts
-        self._driver = Driver(self._wanted(self._next), saved, counts=counts)
+        super().__init__(self._wanted(self._next), saved, counts=counts)
         if self._next is None:
-            self._driver.follow(self._routes.last(self._driver.settings))
+            self.follow(self._routes.last(self.settings))
 
     def _wanted(self, recorded: Configuration | None) -> Settings:
         """Return the settings to drive with where these were recorded."""
@@ -194,67 +193,50 @@ class RecordedDriver:
             settings = recorded.settings
         return update(settings, self._overlay) if self._overlay else settings
 
-    @property
-    def follower(self) -> PathFollower:
-        """Return the follower of the present segment."""
-        assert self._driver.follower is not None  # every step makes one that is missing
-        return self._driver.follower
-
-    @property
-    def settings(self) -> Settings:
-        """Return the present settings, or those that the first step will have."""
-        return self._driver.settings
-
-    @property
-    def at_goal(self) -> bool:
-        """Return whether the target is at the end of an open route."""
-        return self._driver.at_goal
-
-    def step(self, pose: FloatArray, stamp: int, motion: FloatArray) -> FollowerOutput:
+    def step(self, pose: FloatArray, time: int, motion: FloatArray | None = None) -> FollowerOutput:
         """Return the output for a pose and motion (3,) at a time [ns]; FileError if impossible."""
         changed = not self.outputs
-        while self._next is not None and self._next.after_step < stamp:
+        while self._next is not None and self._next.after_step < time:
             self._change(self._next)
             self._next = next(self._changes, None)
             changed = True
-        if self._driver.route is None:
+        if self.route is None:
             raise FileError("the bag has control steps from before the controller had a path")
         if changed:
             self.configurations.append((len(self.outputs), self._text()))
         try:
             with np.errstate(all="ignore"):  # a damaged pose raises below, once
-                known = motion if np.isfinite(motion).all() else None
-                output = self._driver.step(pose, stamp, known)
+                known = motion if motion is not None and np.isfinite(motion).all() else None
+                output = super().step(pose, time, known)
             sound = bool(np.isfinite(output.command).all())
         except (ArithmeticError, LookupError, ValueError):
             sound = False
         if not sound:  # where no robot ever was
             text = ", ".join(f"{value:g}" for value in pose)
-            raise FileError(f"no command follows from the pose ({text}) at {stamp} ns")
-        self._last = stamp
+            raise FileError(f"no command follows from the pose ({text}) at {time} ns")
+        self._last = time
         self.outputs.append(output)
+        assert self.follower is not None  # the step has made one
         self.costs.append(float(self.follower.cost))
         return output
 
     def _text(self) -> str:
         """Return what a controller says that drives like this."""
-        driver = self._driver
         return configuration_text(
-            driver.settings,
-            driver.route,
+            self.settings,
+            self.route,
             after_step=self._last,
-            counts=driver.counts,
+            counts=self.counts,
             saved_weights=self._saved_weights,
         )
 
     def _change(self, change: Configuration) -> None:
         """Take over a path, settings or a reset of learning, as the node did."""
-        driver = self._driver
-        driver.catch_up(change.counts)
+        self.catch_up(change.counts)
         route = self._routes.of(change)
-        if route is not driver.route:
-            driver.follow(route)
-        driver.take_over(driver.prepared(self._wanted(change)))
+        if route is not self.route:
+            self.follow(route)
+        self.take_over(self.prepared(self._wanted(change)))
 
 
 def _saved_weights(run: Run, first: Configuration | None) -> SavedWeights | None:

@@ -51,6 +51,7 @@ class Replay:
     @classmethod
     def by(cls, driver: RecordedDriver, steps: Steps, recorded: FloatArray) -> Self:
         """Return the replay that a driver has made."""
+        assert driver.follower is not None  # there was a step
         said, cost = tuple(driver.configurations), np.array(driver.costs)
         return cls(driver.follower, driver.settings, steps, recorded, driver.outputs, cost, said)
 
