@@ -69,6 +69,31 @@ def start(domain: int, tmp_path: FilePath, node_server: Any) -> Iterator[Callabl
         assert "Traceback" not in node.output(), node.output()
 
 
+@pytest.fixture(scope="session")
+def recommended_run(tmp_path_factory: pytest.TempPathFactory) -> FilePath:
+    """Return the bag of five seconds in lock-step with the recommended settings.
+
+    Real nodes record it once for all workers; do not change it.
+    """
+    from shared import made_once
+
+    return made_once("recommended_run", tmp_path_factory, _record) / "bag"
+
+
+def _record(folder: FilePath) -> None:
+    import numpy as np
+
+    from adp_path_follower.core.path.library import lissajous
+    from adp_path_follower.core.settings.groups import Settings
+    from adp_path_follower.core.settings.parameter_file import load_settings
+    from adp_path_follower.study.demo.closed_loop import run_closed_loop
+    from adp_path_follower.study.simulation.simulate import PAPER_START
+
+    settings = load_settings(Settings, "path_follower")
+    start = np.array(PAPER_START)
+    run_closed_loop(settings, lissajous(), "lissajous", start, 5.0, folder, lambda progress: None)
+
+
 @pytest.fixture
 def interfaces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let this process, and those that it starts, import nav2_msgs and tf2_msgs."""
