@@ -20,6 +20,39 @@ hypothesis.settings.register_profile("search", derandomize=False)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
+def pytest_ignore_collect(collection_path: FilePath, config: pytest.Config) -> bool | None:
+    """Import no file for its nodes, or its smoke tests, that has none: imports take seconds."""
+    marker = config.getoption("markexpr")
+    is_test = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
+    if marker in ("nodes", "smoke") and is_test:
+        return f"mark.{marker}" not in collection_path.read_text(encoding="utf-8") or None
+    return None
+
+
+# The files that take longest, longest first: with the others at the end, workers end together.
+_LONGEST = (
+    *("study/optimum/test_optimum", "study/paper/test_reproduce", "examples/test_examples"),
+    *("study/comparison/test_compare", "analysis/test_bag_page", "core/control/test_value_grid"),
+    *("study/simulation/test_simulate", "study/sweeps/test_tuning", "cli/test_commands"),
+    *("study/comparison/test_late_robot", "study/simulation/test_near_optimal"),
+    *("study/comparison/test_peers", "bags/recovery/test_torn_bags", "core/robot/test_robot"),
+    *("cli/test_sweep", "core/control/test_far_from_path", "cli/test_analyze"),
+    # Of real nodes
+    *("study/demo/test_closed_loop", "ros/controller/test_node", "ros/controller/test_far_values"),
+    "cli/test_replay",
+    *("ros/controller/test_begin_and_go_on", "ros/controller/test_safety"),
+    *("ros/controller/test_weights", "ros/recorder/test_recorder"),
+    *("ros/controller/test_left_alone", "ros/controller/test_follow_path"),
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run long files first; without `--no-loadscope-reorder` xdist has an order of its own."""
+    here = FilePath(__file__).parent
+    places = {here / f"{name}.py": place for place, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(places)))
+
+
 @pytest.fixture
 def domain() -> Iterator[int]:
     """Yield the number of a DDS domain that nobody else uses."""
