@@ -37,7 +37,7 @@ _LONGEST = (
     *("study/comparison/test_late_robot", "study/simulation/test_near_optimal"),
     *("study/comparison/test_peers", "bags/recovery/test_torn_bags", "core/robot/test_robot"),
     *("cli/test_sweep", "core/control/test_far_from_path", "cli/test_analyze"),
-    # Of real nodes
+    # The same for real nodes
     *("study/demo/test_closed_loop", "ros/controller/test_node", "ros/controller/test_far_values"),
     "cli/test_replay",
     *("ros/controller/test_begin_and_go_on", "ros/controller/test_safety"),
