@@ -73,13 +73,24 @@ def peer(domain: int) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session")
-def node_server() -> Iterator[Any]:
+def node_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Yield the process that nodes are forks of."""
     from forked_nodes import NodeServer
+    from shared import made_once
 
+    made_once("default_values", tmp_path_factory, _find_values)
     server = NodeServer()
     yield server
     server.close()
+
+
+def _find_values(folder: FilePath) -> None:
+    """Keep the default settings' values far from the path, or each node starts to find them."""
+    from adp_path_follower.core.control.value_store import value_grid
+    from adp_path_follower.core.settings.groups import Settings
+    from adp_path_follower.core.settings.schema import build
+
+    value_grid(build(Settings, {}))
 
 
 @pytest.fixture
