@@ -186,11 +186,11 @@ def path_line(paths: Sequence[Path], bags: int) -> FloatArray:
     """Return positions along all paths as one line with gaps, (N, 2); each keeps a few points."""
     spacing = max(0.05, sum(path.length for path in paths) * bags / _PATH_POINTS)
     gap = np.full((1, 2), np.nan)
-    pieces = []
+    pieces = [gap]  # also where there is no path
     for path in paths:
         finest = max(0.05, path.length / _LEAST_PATH_POINTS)
         pieces += [path.points(min(spacing, finest))[:, :2], gap]
-    return np.concatenate(pieces[:-1])
+    return np.concatenate(pieces[1:-1] or pieces)
 
 
 def extremes(values: FloatArray, buckets: int) -> np.ndarray:
