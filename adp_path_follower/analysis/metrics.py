@@ -189,10 +189,15 @@ def time_in_state(drive: Drive) -> dict[str, float]:
 
 def _covered(drive: Drive) -> float:
     """Return how far the robot came along its path or paths [m], NaN if no place is known."""
-    arc_length = drive.projection.arc_length
-    same = drive.driving[1:] & drive.driving[:-1] & (np.diff(drive.segment_of_pose) == 0)
-    same &= ~drive.motion.carried[1:]
-    steps = finite(np.diff(arc_length)[same])
+    arc_length, motion = drive.projection.arc_length, drive.motion
+    chosen = drive.driving[1:] & drive.driving[:-1] & ~motion.carried[1:]
+    lengths = np.array([segment.path.length for segment in drive.segments])
+    segment = drive.segment_of_pose
+    # Over a cusp to the end of one segment and on along the next, but no farther than was driven.
+    over = lengths[segment[:-1]] - arc_length[:-1] + arc_length[1:]
+    driven = (np.abs(motion.along) + motion.hidden)[1:]
+    same = np.diff(segment) == 0
+    steps = finite(np.where(same, np.diff(arc_length), np.clip(over, 0.0, driven))[chosen])
     return float(steps.sum()) if drive.compared.any() else math.nan
 
 
