@@ -21,7 +21,7 @@ from adp_path_follower.core.geometry import FloatArray, Number, clamped, where
 from adp_path_follower.core.settings.groups import Settings
 
 _MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
-# Of the Riccati solution's value, which knows no bend ahead: a smaller learned value is doubtful.
+# A smaller share of the Riccati solution's value, which knows no bend ahead, is doubtful.
 _LEAST_VALUE = 0.1
 _NOTHING = 0.005  # [m], [rad]: smaller errors do not matter, and approximations decide their cost
 _ROUNDING = 1e-12  # a cost in which rounding decides
