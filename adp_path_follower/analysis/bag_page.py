@@ -53,7 +53,8 @@ CAPTIONS = {
     ),
     "robot_model": (
         "The robot's model",
-        "Delay, lags, gains and bias that commands are for; grey is two standard deviations away.",
+        "Delay, lags, gains and bias that commands are for; grey is two standard deviations away, "
+        "where driving tells them.",
     ),
     "robot_velocity": (
         "Velocities of robot and model",

@@ -44,6 +44,7 @@ class Panel:
     limits: tuple[float, ...] = ()  # values that the curves may not leave
     logarithmic: bool = False  # whether the axis is
     steps: bool = False  # whether a value holds until the next
+    span: tuple[float, float] | None = None  # of the axis; as far as the curves go if None
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,13 @@ class ShownRun:
     name: str
     charts: Charts
     events: tuple[Event, ...] = ()
+
+
+def curve_numbers(panels: Sequence[Panel]) -> dict[str, int]:
+    """Return the number of each named curve: curves of one name have one colour in all panels."""
+    shared = [panel for panel in panels if len(panel.lines) > 1]
+    names = [line.name for panel in shared for line in panel.lines if not line.background]
+    return {name: number for number, name in enumerate(dict.fromkeys(names))}
 
 
 def line_of(
