@@ -13,6 +13,7 @@ STYLE = {
 # Okabe and Ito's hues, as dark as it takes to stand out from a white page (4.5:1).
 COLORS = ("#0072B2", "#C25500", "#00805E", "#B4508A", "#7A5BD8", "#8F6412")
 PATH_COLOR = "rgba(128,128,128,0.6)"
+POINT_COLOR = "#6B737B"  # of many points beside a few that matter
 # A dark page has lighter ones, which stand out from it as much.
 ON_DARK = {
     **dict(
@@ -23,6 +24,7 @@ ON_DARK = {
         )
     ),
     PATH_COLOR: "#7D858D",
+    POINT_COLOR: "#9AA3AC",
 }
 
 # From the path outwards. Each is the part of Viridis that stands out from its page: what is far
