@@ -71,7 +71,7 @@ setup(
         "docs": ["mkdocs-material>=9.5,<10", "mkdocstrings[python]>=0.27,<2"],
         "test": [
             "pytest>=7.4",
-            "pytest-xdist>=3.3",
+            "pytest-xdist>=3.8",
             "hypothesis>=6.90",
             "evo>=1.28",
             "mcap-ros2-support>=0.5",

@@ -20,6 +20,39 @@ hypothesis.settings.register_profile("search", derandomize=False)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
+def pytest_ignore_collect(collection_path: FilePath, config: pytest.Config) -> bool | None:
+    """Import no file for its nodes, or its smoke tests, that has none: imports take seconds."""
+    marker = config.getoption("markexpr")
+    is_test = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
+    if marker in ("nodes", "smoke") and is_test:
+        return f"mark.{marker}" not in collection_path.read_text(encoding="utf-8") or None
+    return None
+
+
+# The files that take longest, longest first: with the others at the end, workers end together.
+_LONGEST = (
+    *("study/optimum/test_optimum", "study/paper/test_reproduce", "examples/test_examples"),
+    *("study/comparison/test_compare", "analysis/test_bag_page", "core/control/test_value_grid"),
+    *("study/simulation/test_simulate", "study/sweeps/test_tuning", "cli/test_commands"),
+    *("study/comparison/test_late_robot", "study/simulation/test_near_optimal"),
+    *("study/comparison/test_peers", "bags/recovery/test_torn_bags", "core/robot/test_robot"),
+    *("cli/test_sweep", "core/control/test_far_from_path", "cli/test_analyze"),
+    # The same for real nodes
+    *("study/demo/test_closed_loop", "ros/controller/test_node", "ros/controller/test_far_values"),
+    "cli/test_replay",
+    *("ros/controller/test_begin_and_go_on", "ros/controller/test_safety"),
+    *("ros/controller/test_weights", "ros/recorder/test_recorder"),
+    *("ros/controller/test_left_alone", "ros/controller/test_follow_path"),
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run long files first; without `--no-loadscope-reorder` xdist has an order of its own."""
+    here = FilePath(__file__).parent
+    places = {here / f"{name}.py": place for place, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(places)))
+
+
 @pytest.fixture
 def domain() -> Iterator[int]:
     """Yield the number of a DDS domain that nobody else uses."""
@@ -40,13 +73,24 @@ def peer(domain: int) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session")
-def node_server() -> Iterator[Any]:
+def node_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Yield the process that nodes are forks of."""
     from forked_nodes import NodeServer
+    from shared import made_once
 
+    made_once("default_values", tmp_path_factory, _find_values)
     server = NodeServer()
     yield server
     server.close()
+
+
+def _find_values(folder: FilePath) -> None:
+    """Keep the default settings' values far from the path, or each node starts to find them."""
+    from adp_path_follower.core.control.value_store import value_grid
+    from adp_path_follower.core.settings.groups import Settings
+    from adp_path_follower.core.settings.schema import build
+
+    value_grid(build(Settings, {}))
 
 
 @pytest.fixture
@@ -67,6 +111,31 @@ def start(domain: int, tmp_path: FilePath, node_server: Any) -> Iterator[Callabl
         node.stop()
         print(f"{node.log}:\n{node.output()}")  # for whoever reads why a test failed
         assert "Traceback" not in node.output(), node.output()
+
+
+@pytest.fixture(scope="session")
+def recommended_run(tmp_path_factory: pytest.TempPathFactory) -> FilePath:
+    """Return the bag of five seconds in lock-step with the recommended settings.
+
+    Real nodes record it once for all workers; do not change it.
+    """
+    from shared import made_once
+
+    return made_once("recommended_run", tmp_path_factory, _record) / "bag"
+
+
+def _record(folder: FilePath) -> None:
+    import numpy as np
+
+    from adp_path_follower.core.path.library import lissajous
+    from adp_path_follower.core.settings.groups import Settings
+    from adp_path_follower.core.settings.parameter_file import load_settings
+    from adp_path_follower.study.demo.closed_loop import run_closed_loop
+    from adp_path_follower.study.simulation.simulate import PAPER_START
+
+    settings = load_settings(Settings, "path_follower")
+    start = np.array(PAPER_START)
+    run_closed_loop(settings, lissajous(), "lissajous", start, 5.0, folder, lambda progress: None)
 
 
 @pytest.fixture

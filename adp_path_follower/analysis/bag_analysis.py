@@ -173,7 +173,7 @@ def analyse_bag(
 
 def _write_tum(drive: Drive, file: FilePath) -> None:
     """Write stamp [s], position and quaternion while driving, one pose a line (TUM format)."""
-    driving = drive.driving
+    driving = drive.driving & drive.in_one_frame
     stamps = drive.start + np.rint(drive.odometry.time[driving] * 1e9).astype(np.int64)
     poses = drive.odometry.values[driving, :3]
     half = 0.5 * poses[:, 2]

@@ -53,7 +53,8 @@ CAPTIONS = {
     ),
     "robot_model": (
         "The robot's model",
-        "Delay, lags, gains and bias that commands are for; grey is two standard deviations away.",
+        "Delay, lags, gains and bias that commands are for; grey is two standard deviations away, "
+        "where driving tells them.",
     ),
     "robot_velocity": (
         "Velocities of robot and model",
@@ -85,7 +86,7 @@ _DETAILS: tuple[tuple[str, str, Callable[[Charts], bool]], ...] = (
     (
         "errors",
         "s is how far the robot is ahead of its virtual target.",
-        lambda charts: len(charts.panels["errors"]) > 2,
+        lambda charts: len(charts.panels.get("errors", ())) > 2,
     ),
     (
         "commands",
@@ -207,8 +208,9 @@ def _headline(analysis: BagAnalysis) -> Headline:
     metrics = analysis.metrics
     faults = sum(event.kind == "fault" for event in analysis.events)
     distance, farthest = metrics["steady_cross_track_rms"], metrics["steady_cross_track_max"]
-    on_path = not farthest > OFF_PATH
     sentences = [f"{number(metrics['path_covered'], 4)} m of the path were driven"]
+    if not analysis.trust.compared:
+        sentences = [f"{number(metrics['distance'], 4)} m were driven, not compared with the path"]
     if math.isfinite(distance):
         sentences.append(f"{_millimetres(distance)} from it (root mean square, when settled)")
     if math.isfinite(metrics["cost_ratio"]):
@@ -233,7 +235,7 @@ def _headline(analysis: BagAnalysis) -> Headline:
         ("faults", str(faults), _halted(analysis)),
     )
     verdict = f"{', '.join(sentences)}; {ending}."
-    return Headline(analysis.name, on_path and not faults, verdict, cards)
+    return Headline(analysis.name, farthest <= OFF_PATH and not faults, verdict, cards)
 
 
 def _cost_card(ratio: float, cost: float) -> tuple[str, str, str]:

@@ -9,7 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
-from adp_path_follower.drawing.charts import KINDS
+from adp_path_follower.drawing.charts import KINDS, curve_numbers
 from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, color, is_dashed
 from adp_path_follower.drawing.run_figures import save_figures
 
@@ -60,14 +60,16 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
     figure = Figure(figsize=(9.0, 1.2 + 2.0 * rows))
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     for index, analysis in enumerate(analyses):
-        for panel, place in zip(analysis.charts.panels.get(key, ()), axes, strict=False):
-            number = 0
+        panels = analysis.charts.panels.get(key, ())
+        by_line = len(analyses) == 1
+        numbers = curve_numbers(panels) if by_line else {}
+        for panel, place in zip(panels, axes, strict=False):
             for line in panel.lines:
-                by_line = len(analyses) == 1
+                number = numbers.get(line.name, index)
                 place.plot(
                     line.time,
                     line.values,
-                    color="0.8" if line.background else color(number if by_line else index),
+                    color="0.8" if line.background else color(number),
                     linewidth=0.5 if line.background else 1.2,
                     linestyle="--"
                     if by_line and is_dashed(number) and not line.background
@@ -75,7 +77,8 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
                     drawstyle="steps-post" if panel.steps else None,
                     label=None if line.background else _plain(line.name),
                 )
-                number += not line.background
+            if panel.span is not None and by_line:
+                place.set_ylim(panel.span)
             for limit in filter(np.isfinite, panel.limits):
                 place.axhline(limit, color="0.5", linestyle="--", linewidth=0.8)
             place.set_ylabel(panel.label)
@@ -84,7 +87,7 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
             for spans in analysis.charts.halts.values():
                 for begin, end in spans:
                     place.axvspan(begin, end, color="0.5", alpha=0.15, linewidth=0)
-            if len(analyses) == 1 and number > 1:
+            if by_line and sum(not line.background for line in panel.lines) > 1:
                 place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
     if len(analyses) > 1:
         for index, analysis in enumerate(analyses):

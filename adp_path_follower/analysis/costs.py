@@ -50,7 +50,10 @@ def costs_of(drive: Drive, settings: Settings | None) -> Costs:
         return _unknown(f"the robot was told to move for less than {COST_HORIZON:g} s")
     place = np.searchsorted(drive.odometry.time, time[chosen] + 1e-9, side="right") - 1
     place = np.maximum(place, 0)
-    numbers = drive.segment_of_pose[place[time[chosen] < COST_HORIZON]]
+    counted = place[time[chosen] < COST_HORIZON]
+    if not drive.compared[counted].all():
+        return _unknown("the robot's place in the frame of the path is not known all the time")
+    numbers = drive.segment_of_pose[counted]
     segment, path = drive.segments[numbers[0]], drive.segments[numbers[0]].path
     if (numbers != numbers[0]).any():
         return _unknown(f"the path changed in the first {COST_HORIZON:g} s")

@@ -24,7 +24,6 @@ from adp_path_follower.study.replay.recorded_driver import RecordedRoutes
 _SPACING = 0.02  # [m] of the places that poses are compared with
 _AS_DRAWN = 0.002  # [m] from the polyline that a path may be, and where there are ...
 _MANY, _OF_MANY = 20, 0.01  # ... more paths than this, as of a planner that plans all the time
-_MOSTLY = 0.5  # share of the poses for which a transform must be known
 
 
 def segments_driven(route: Route, poses: FloatArray, speed: FloatArray) -> np.ndarray:
@@ -82,7 +81,8 @@ class Followed:
 
     routes: tuple[Route, ...]  # in the order in which they were in force
     in_force: np.ndarray  # which of them was in force at each odometry, shape (N,)
-    poses: FloatArray  # the odometry's x, y, theta in the frame of its route, shape (N, 3)
+    # The odometry's x, y, theta in the frame of its route, NaN where that is not known, (N, 3).
+    poses: FloatArray
     frames: tuple[str, str]  # frames of the paths and of the odometry, as sentences have them
     notes: tuple[str, ...]  # sentences about what was left out or brought to another frame
 
@@ -93,7 +93,7 @@ def followed_routes(
     """Return the routes of a run; a path that came after the first odometry counts from there on.
 
     `clock` translates arrival to the odometry's clock. `path` has poses x, y, heading to compare
-    with; None takes the bag's. Raises FileError if no path can be followed or compared.
+    with; None takes the bag's. Raises FileError if no path can be followed.
     """
     notes: list[str] = []
     found: Sequence[tuple[int, Route, str]]
@@ -167,20 +167,20 @@ def route_along(poses: FloatArray, tolerance: float = _AS_DRAWN) -> Route:
 
 
 def _moved(bag: FilePath, odometry: Timeline, own: str, frame: str, notes: list[str]) -> FloatArray:
-    """Return the poses of the odometry in the frame of a path, (N, 3); FileError if unknown."""
+    """Return the poses of the odometry in the frame of a path, NaN where unknown, (N, 3)."""
     series = odometry.series
     times = series.arrival if odometry.by_arrival or odometry.cut.any() else series.stamp
     moved = read_transforms(bag).moved(
         series.values[:, :3], frame_name(own), frame_name(frame), times, times is not series.stamp
     )
-    if moved is None or moved[1] < _MOSTLY:
-        why = "holds no transform between them" if moved is None else (
-            f"has the transform between them for {100.0 * moved[1]:.0f} % of the odometry only"
-        )  # fmt: skip
-        raise FileError(
-            f"bag {bag} has the path in frame '{frame}' and the odometry in '{own}', and {why}: "
-            "they cannot be compared; record /tf and /tf_static, too"
+    share = 0.0 if moved is None else float(np.isfinite(moved[:, 0]).mean())
+    if moved is None or not share:
+        notes.append(
+            f"nothing is compared with the path in frame '{frame}': the odometry is in '{own}', "
+            f"and the bag has no transform between them{'' if moved is None else ' at that time'}; "
+            f"record /tf and /tf_static, too, or name a path in '{own}' by --path"
         )
-    partly = "" if moved[1] == 1.0 else f", which is known for {100.0 * moved[1]:.1f} % of it"
+        return np.full((len(times), 3), np.nan)
+    partly = "" if share == 1.0 else f", which is known for {100.0 * share:.1f} % of it"
     notes.append(f"the odometry was brought from frame '{own}' to '{frame}' by /tf{partly}")
-    return moved[0]
+    return moved

@@ -113,21 +113,21 @@ _STATE = "time_in_state."
 def measure_drive(drive: Drive, costs: Mapping[str, float]) -> dict[str, float]:
     """Return name -> value, NaN if unknown, with the costs that were counted of it."""
     values = dict.fromkeys(METRIC_NAMES, math.nan)
-    driving = drive.driving
-    time = drive.odometry.time[driving]
-    cross = np.abs(drive.projection.cross_track[driving])
+    driving, beside = drive.driving, drive.driving & drive.compared
+    time = drive.odometry.time[beside]
+    cross = np.abs(drive.projection.cross_track[beside])
     steady = cross[time >= transient(drive.end)]
     values |= {
         "duration": float(drive.end),
         "distance": drive.motion.distance(driving),
         "path_covered": _covered(drive),
         **_spread("cross_track", cross),
-        **_spread("heading", np.abs(drive.projection.heading[driving])),
+        **_spread("heading", np.abs(drive.projection.heading[beside])),
         "steady_cross_track_rms": _rms(steady),
         "steady_cross_track_max": float(steady.max()) if len(steady) else math.nan,
         "messages": float(sum(drive.run.message_counts.values())),
         "settling_time": _settling_time(drive),
-        **approach(time, drive.projection.cross_track[driving], drive.motion.noise),
+        **approach(time, drive.projection.cross_track[beside], drive.motion.noise),
         **_command_values(drive),
     }
     for key, name, statistic in (
@@ -188,11 +188,17 @@ def time_in_state(drive: Drive) -> dict[str, float]:
 
 
 def _covered(drive: Drive) -> float:
-    """Return how far the robot came along its path or paths [m]."""
-    arc_length = drive.projection.arc_length
-    same = drive.driving[1:] & drive.driving[:-1] & (np.diff(drive.segment_of_pose) == 0)
-    same &= ~drive.motion.carried[1:]
-    return float(np.diff(arc_length)[same].sum())
+    """Return how far the robot came along its path or paths [m], NaN if no place is known."""
+    arc_length, motion = drive.projection.arc_length, drive.motion
+    chosen = drive.driving[1:] & drive.driving[:-1] & ~motion.carried[1:]
+    lengths = np.array([segment.path.length for segment in drive.segments])
+    segment = drive.segment_of_pose
+    # Over a cusp to the end of one segment and on along the next, but no farther than was driven.
+    over = lengths[segment[:-1]] - arc_length[:-1] + arc_length[1:]
+    driven = (np.abs(motion.along) + motion.hidden)[1:]
+    same = np.diff(segment) == 0
+    steps = finite(np.where(same, np.diff(arc_length), np.clip(over, 0.0, driven))[chosen])
+    return float(steps.sum()) if drive.compared.any() else math.nan
 
 
 def _spread(name: str, values: FloatArray) -> dict[str, float]:

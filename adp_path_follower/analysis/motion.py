@@ -62,17 +62,17 @@ def motion_of(time: FloatArray, poses: FloatArray, speed: FloatArray, cut: np.nd
     chord = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
     bend = np.maximum(sinc(half), 2.0 / math.pi)
     length = np.hypot(*step.T)
-    said = 0.5 * (speed + np.concatenate([speed[:1], speed[:-1]])) * period
+    before = np.concatenate([speed[:1], speed[:-1]])
+    said = 0.5 * (speed + before) * period
+    both = 0.5 * (np.abs(speed) + np.abs(before)) * period  # there and back
     if not _agrees(length, said):
         said = np.full(len(said), np.nan)
-    carried = cut | _jumps(length, chord, bend, said)
+    carried = cut | _jumps(length, chord, bend, said, both)
     along = chord / bend
     sharp = (np.abs(half) > _SHARP) & np.isfinite(said)  # the step is no arc, and says little
     along = np.where(carried, 0.0, np.where(sharp, said, along))
     across = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
     noise = _noise(across, carried)
-    before = np.concatenate([speed[:1], speed[:-1]])
-    both = 0.5 * (np.abs(speed) + np.abs(before)) * period  # there and back
     turned = (speed * before < 0.0) & np.isfinite(said) & ~carried & (both > _FILTER * noise)
     hidden = np.where(turned, np.maximum(both - np.abs(along), 0.0), 0.0)
     reach = np.fmax(np.abs(along), np.abs(said))
@@ -86,13 +86,15 @@ def _agrees(length: FloatArray, said: FloatArray) -> bool:
     return 1.0 / _AGREEMENT < ratio < _AGREEMENT
 
 
-def _jumps(length: FloatArray, chord: FloatArray, bend: FloatArray, said: FloatArray) -> np.ndarray:
+def _jumps(
+    length: FloatArray, chord: FloatArray, bend: FloatArray, said: FloatArray, both: FloatArray
+) -> np.ndarray:
     """Return which steps are longer than the robot can have driven, (N,)."""
     if np.isfinite(said).all():
         # The rest of a step, without the motion that the velocity explains.
         rest = np.hypot(chord - said * bend, np.sqrt(np.maximum(length**2 - chord**2, 0.0)))
         spread = float(np.median(rest[1:])) if len(rest) > 1 else 0.0
-        return np.asarray(rest > _LEAST_JUMP + np.abs(said) + _JUMP_SPREAD * spread)
+        return np.asarray(rest > _LEAST_JUMP + both + _JUMP_SPREAD * spread)
     usual = length[length > 1e-6]
     typical = float(np.quantile(usual, _USUAL)) if len(usual) else 0.0
     return np.asarray(length > _LEAST_JUMP + _STRIDES * typical)

@@ -48,8 +48,9 @@ class Drive:
     motion: Motion  # the steps from each odometry to the next
     start: int  # stamp of the first odometry while the robot was told to move: time 0 [ns]
     end: float  # time at which it was last told to move [s]
-    odometry: Timed  # x, y, theta in the frame of the path, v, w
-    # The odometry beside the path that was in force; in reverse, that of the robot turned round.
+    odometry: Timed  # x, y, theta in the frame of the path, where that is known, v, w
+    # The odometry beside the path that was in force, NaN where its place in the frame of the path
+    # is not known; in reverse, that of the robot turned round.
     projection: Projection
     segments: tuple[Segment, ...]  # the segments of the paths, in order
     segment_of_pose: np.ndarray  # which of them was in force at each odometry, shape (N,)
@@ -69,6 +70,16 @@ class Drive:
     def driving(self) -> np.ndarray:
         """Return which of the odometry was recorded while the robot was told to move, (N,)."""
         return np.asarray((self.odometry.time >= 0.0) & (self.odometry.time <= self.end))
+
+    @property
+    def compared(self) -> np.ndarray:
+        """Return which of the odometry has a place beside the path, shape (N,)."""
+        return np.isfinite(self.projection.cross_track)
+
+    @property
+    def in_one_frame(self) -> np.ndarray:
+        """Return which of the odometry can be drawn together: beside the path, else all, (N,)."""
+        return self.compared | (not self.compared.any())
 
 
 def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
@@ -91,7 +102,9 @@ def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
     start = int(odometry.stamp[index])
     speed = odometry.values[:, 3]
     motion = motion_of((odometry.stamp - start) * 1e-9, odometry.values[:, :3], speed, line.cut)
-    segment_of_pose = _segments(followed.routes, followed.in_force, followed.poses, speed)
+    known = np.isfinite(followed.poses[:, 0])
+    in_force = np.where(known, followed.in_force, -1)
+    segment_of_pose = _segments(followed.routes, in_force, followed.poses, speed)
     segments = tuple(itertools.chain.from_iterable(route.segments for route in followed.routes))
     learner = _learner(run, clock, start)
     target = _target_at((odometry.stamp - start) * 1e-9, learner.get("target"))
@@ -106,7 +119,9 @@ def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
         end=float((last - start) * 1e-9),
         odometry=Timed(
             (odometry.stamp - start) * 1e-9,
-            np.column_stack([followed.poses, odometry.values[:, 3:]]),
+            np.where(
+                known[:, None], np.c_[followed.poses, odometry.values[:, 3:]], odometry.values
+            ),
         ),
         projection=_projection(segments, segment_of_pose, followed.poses, motion, target),
         segments=segments,
@@ -152,18 +167,18 @@ def _projection(
     motion: Motion,
     target: FloatArray,
 ) -> Projection:
-    parts = []
+    """Return the places beside the segments, NaN where poses (N, 3) are."""
+    columns = np.full((3, len(poses)), np.nan)
     for number in np.unique(segment_of_pose).tolist():
-        segment, rows = segments[number], segment_of_pose == number
-        parts.append(
-            project(
-                segment.path,
-                segment.heading_of_path(poses[rows]),
-                motion.reach[rows],
-                segment.heading_of_path(target[rows]),
-            )
+        segment, rows = segments[number], np.isfinite(poses[:, 0]) & (segment_of_pose == number)
+        found = project(
+            segment.path,
+            segment.heading_of_path(poses[rows]),
+            motion.reach[rows],
+            segment.heading_of_path(target[rows]),
         )
-    return Projection.joined(parts)
+        columns[:, rows] = found.arc_length, found.cross_track, found.heading
+    return Projection(*columns)
 
 
 def _target_at(time: FloatArray, target: Timed | None) -> FloatArray:

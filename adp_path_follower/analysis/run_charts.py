@@ -59,7 +59,9 @@ def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Cha
         longest = max(_GAP, _GAP_PERIODS * float(np.median(usual))) if len(usual) else _GAP
         return line_of(name, timed.time, timed.values[:, column], buckets, longest=longest)
 
-    found: dict[str, tuple[Panel, ...]] = {"errors": _error_panels(drive, buckets)}
+    found: dict[str, tuple[Panel, ...]] = {}
+    if drive.compared.any():
+        found["errors"] = _error_panels(drive, buckets)
     if len(drive.commands.time):
         limits = drive.settings.limits if drive.settings is not None else None
         found["commands"] = (
@@ -153,9 +155,10 @@ def _weight_lines(weights: Timed, bags: int) -> tuple[Line, ...]:
 
 def _track(drive: Drive, bags: int) -> Track:
     """Return the track, with every peak of the distance from the path, and its motion."""
-    time, poses = drive.odometry.time, drive.odometry.values[:, :3]
+    shown, beside = drive.in_one_frame, drive.compared.any()
+    time, poses = drive.odometry.time[shown], drive.odometry.values[shown, :3]
     target = None
-    if "target" in drive.learner and len(drive.learner["target"].time):
+    if beside and "target" in drive.learner and len(drive.learner["target"].time):
         recorded = drive.learner["target"]
         order = np.argsort(recorded.time, kind="stable")
         columns = (drawable(recorded.values[order, column]) for column in (0, 1))
@@ -164,10 +167,10 @@ def _track(drive: Drive, bags: int) -> Track:
             [np.interp(time, known, values, left=np.nan, right=np.nan) for values in columns]
         )
     return track_of(
-        path_line([segment.path for segment in drive.segments], bags),
+        path_line([segment.path for segment in drive.segments if beside], bags),
         time,
         poses,
-        drive.projection.cross_track,
+        drive.projection.cross_track[shown],
         target=target,
         color_limit=_color_limit(drive),
         points=max(200, _TRACK_BUCKETS // bags),
@@ -177,7 +180,7 @@ def _track(drive: Drive, bags: int) -> Track:
 
 def _color_limit(drive: Drive) -> float:
     """Return the distance [m] that 95 % of a run after its far-away beginning are below."""
-    chosen = drive.driving & (drive.odometry.time >= transient(drive.end))
+    chosen = drive.driving & drive.compared & (drive.odometry.time >= transient(drive.end))
     distance = np.abs(drive.projection.cross_track[chosen])
     return max(float(np.quantile(distance, 0.95)) if len(distance) else 0.0, _LEAST_DISTANCE)
 
@@ -185,7 +188,7 @@ def _color_limit(drive: Drive) -> float:
 def _steering_maps(drive: Drive) -> tuple[SteeringMap, ...]:
     """Return the policy's map at the first recorded step and `LEARNED` later.
 
-    Empty where the bag has no actor weights, or no settings that fit them.
+    Empty where the bag has no actor weights, no settings that fit them, or no place beside a path.
     """
     weights, settings = drive.learner.get("actor_weights"), drive.settings
     if weights is None or settings is None or not len(weights.time):
@@ -194,7 +197,7 @@ def _steering_maps(drive: Drive) -> tuple[SteeringMap, ...]:
         return ()
     place = int(np.searchsorted(weights.time, weights.time[0] + LEARNED))
     chosen = (0, min(place, len(weights.time) - 1))
-    if not np.isfinite(weights.values[list(chosen)]).all():
+    if not np.isfinite(weights.values[list(chosen)]).all() or not drive.compared.all():
         return ()
     return tuple(
         SteeringMap(

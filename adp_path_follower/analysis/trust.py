@@ -13,6 +13,10 @@ _ENOUGH = 0.5  # share of what a number is made of that must be there
 _FEWEST = 10  # poses
 _NEED_COMMANDS = ("linear_", "angular_", "command_", "latency_", "cost")
 _NEED_NOTHING = ("messages", "time_in_state.", "duration")
+_NEED_PLACES = (
+    "path_covered", "cross_track_", "heading_", "steady_", "approach_time", "overshoot", "cost",
+    "optimal_cost",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -30,9 +34,10 @@ class Trust:
     bag: float  # [s] from the first to the last message of the bag
     duration: float  # [s] during which the robot was told to move, ...
     measured: float  # ... and its place is known
-    poses: int  # odometry messages during that time
+    poses: int  # odometry messages during that time, ...
+    compared: int  # ... and those whose place beside the path is known
     distance: float  # [m]
-    path_covered: float  # [m]
+    path_covered: float  # [m], NaN if no place is known
     jumps: int  # steps of the odometry that no robot drives; they count for nothing
     path_frame: str
     odometry_frame: str
@@ -43,14 +48,16 @@ class Trust:
         cuts = f", cut {self.cuts} times" if self.cuts else ""
         clock = "by arrival" if self.by_arrival else "by stamps"
         frames = f"path '{self.path_frame}', odometry '{self.odometry_frame}'"
+        apart = "" if self.compared == self.poses else f"; {self._compared()}"
+        covered = f"{self.path_covered:.2f} m" if self.compared else "an unknown way"
         return (
             f"{self.odometry_used} of {self.odometry_total} odometry messages and "
             f"{self.commands_used} of {self.commands_total} commands used",
             f"stamps over {self.stamps:.1f} s, arrivals over {self.arrivals:.1f} s: {clock}{cuts}",
             f"told to move for {self.duration:.1f} s of the bag's {self.bag:.1f} s, place known "
             f"for {self.measured:.1f} s",
-            f"drove {self.distance:.2f} m, {self.path_covered:.2f} m along the path{jumps}",
-            f"frames: {frames}",
+            f"drove {self.distance:.2f} m, {covered} along the path{jumps}",
+            f"frames: {frames}{apart}",
         )
 
     def doubt(self, name: str) -> str:
@@ -66,11 +73,16 @@ class Trust:
             return f"{self.odometry_used} of {self.odometry_total} odometry messages could be used"
         if self.poses < _FEWEST:
             return f"there are {self.poses} poses while the robot was told to move"
+        if name.startswith(_NEED_PLACES) and self.compared < _ENOUGH * self.poses:
+            return self._compared()
         if self.measured < _ENOUGH * self.duration:
             return (
                 f"the robot's place is known for {self.measured:.1f} of {self.duration:.1f} s only"
             )
         return ""
+
+    def _compared(self) -> str:
+        return f"{self.compared} of {self.poses} poses could be compared with the path"
 
 
 def trust_of(drive: Drive, metrics: Mapping[str, float]) -> Trust:
@@ -95,6 +107,7 @@ def trust_of(drive: Drive, metrics: Mapping[str, float]) -> Trust:
         duration=float(drive.end),
         measured=_measured(drive),
         poses=int(driving.sum()),
+        compared=int((driving & drive.compared).sum()),
         distance=metrics["distance"],
         path_covered=metrics["path_covered"],
         jumps=int((drive.motion.carried & ~odometry.cut & driving).sum()),

@@ -41,8 +41,8 @@ class Transforms:
 
     def moved(
         self, poses: FloatArray, source: str, target: str, times: np.ndarray, by_arrival: bool
-    ) -> tuple[FloatArray, float] | None:
-        """Return poses (N, 3) in another frame, and for which share a transform was near in time.
+    ) -> FloatArray | None:
+        """Return poses (N, 3) in another frame, NaN where no transform was near in time.
 
         `times` [ns] (N,) are arrivals or stamps. Returns None where the bag has no way to the
         frame.
@@ -58,7 +58,7 @@ class Transforms:
         for frame in falling:
             place, near = self._place(frame, times, by_arrival)
             poses, known = tracking_error(poses, place), known & near
-        return poses, float(known.mean()) if len(known) else 0.0
+        return np.where(known[:, None], poses, np.nan)
 
     def _parent(self, frame: str) -> str | None:
         edge = self._edges.get(frame)

@@ -22,12 +22,12 @@ from adp_path_follower.cli.outputs import (
     check_figure,
     check_writable,
     json_option,
+    whole_file,
     write_json,
     write_npz,
 )
 from adp_path_follower.core.control.far_from_path import missing_values, without_values
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
@@ -191,8 +191,8 @@ def _write(
     if figure_file is not None:
         from adp_path_follower.study.optimum.figure import draw_optima
 
-        with output_to(figure_file):
-            draw_optima([row.optimum.motion for row in rows if row.optimum], figure_file)
+        with whole_file(figure_file) as file:
+            draw_optima([row.optimum.motion for row in rows if row.optimum], file)
 
 
 def _table(rows: list[_Row], check: bool) -> str:

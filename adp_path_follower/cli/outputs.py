@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
 from typing import Any
@@ -33,6 +34,14 @@ def check_figure(file: FilePath | None) -> None:
             f"figure {file} must end in .png, .svg, .pdf or another kind of picture, as in "
             f"{file.with_suffix('.png')}"
         )
+
+
+@contextlib.contextmanager
+def whole_file(file: FilePath) -> Iterator[FilePath]:
+    """Yield a place to write a file to, which is then there as a whole; FileError if it cannot."""
+    with output_to(file), tempfile.TemporaryDirectory() as folder:
+        yield FilePath(folder) / file.name
+        _write_whole(file, (FilePath(folder) / file.name).read_bytes())
 
 
 def write_npz(file: FilePath, arrays: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from adp_path_follower.cli.options import (
     out_option,
     progress_bar,
 )
-from adp_path_follower.cli.outputs import new_directory, write_json
+from adp_path_follower.cli.outputs import output_directory, write_json
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.paper.reproduce import Reproduction
@@ -32,15 +32,15 @@ def paper(directory: FilePath) -> None:
     """
     from adp_path_follower.study.paper.reproduce import reproduce
 
-    new_directory(directory)
-    log.info("simulating the paper's run, ten minutes of it, and 26 optima: some minutes")
-    with progress_bar("simulating and optimising") as progress:
-        found = reproduce(progress)
-    from adp_path_follower.study.paper.reproduce import draw_paper
+    with output_directory(directory):
+        log.info("simulating the paper's run, ten minutes of it, and 26 optima: some minutes")
+        with progress_bar("simulating and optimising") as progress:
+            found = reproduce(progress)
+        from adp_path_follower.study.paper.reproduce import draw_paper
 
-    draw_paper(found, directory)
-    numbers = _numbers(found)
-    write_json(directory / "paper.json", numbers)
+        draw_paper(found, directory)
+        numbers = _numbers(found)
+        write_json(directory / "paper.json", numbers)
     click.echo(_text(numbers))
     click.echo(f"\nIn {directory}: the figures and paper.json")
 

@@ -44,6 +44,7 @@ class Panel:
     limits: tuple[float, ...] = ()  # values that the curves may not leave
     logarithmic: bool = False  # whether the axis is
     steps: bool = False  # whether a value holds until the next
+    span: tuple[float, float] | None = None  # of the axis; as far as the curves go if None
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,13 @@ class ShownRun:
     name: str
     charts: Charts
     events: tuple[Event, ...] = ()
+
+
+def curve_numbers(panels: Sequence[Panel]) -> dict[str, int]:
+    """Return the number of each named curve: curves of one name have one colour in all panels."""
+    shared = [panel for panel in panels if len(panel.lines) > 1]
+    names = [line.name for panel in shared for line in panel.lines if not line.background]
+    return {name: number for number, name in enumerate(dict.fromkeys(names))}
 
 
 def line_of(
@@ -186,11 +194,11 @@ def path_line(paths: Sequence[Path], bags: int) -> FloatArray:
     """Return positions along all paths as one line with gaps, (N, 2); each keeps a few points."""
     spacing = max(0.05, sum(path.length for path in paths) * bags / _PATH_POINTS)
     gap = np.full((1, 2), np.nan)
-    pieces = []
+    pieces = [gap]  # also where there is no path
     for path in paths:
         finest = max(0.05, path.length / _LEAST_PATH_POINTS)
         pieces += [path.points(min(spacing, finest))[:, :2], gap]
-    return np.concatenate(pieces[:-1])
+    return np.concatenate(pieces[1:-1] or pieces)
 
 
 def extremes(values: FloatArray, buckets: int) -> np.ndarray:

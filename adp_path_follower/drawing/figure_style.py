@@ -10,8 +10,22 @@ STYLE = {
     "legend.frameon": False,
 }
 
-# Okabe and Ito's colours, without those that vanish on a white or on a black page.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6FDF", "#A6761D")
+# Okabe and Ito's hues, as dark as it takes to stand out from a white page (4.5:1).
+COLORS = ("#0072B2", "#C25500", "#00805E", "#B4508A", "#7A5BD8", "#8F6412")
+PATH_COLOR = "rgba(128,128,128,0.6)"
+POINT_COLOR = "#6B737B"  # of many points beside a few that matter
+# A dark page has lighter ones, which stand out from it as much.
+ON_DARK = {
+    **dict(
+        zip(
+            COLORS,
+            ("#56B4E9", "#F2853F", "#2BBE8F", "#E096C0", "#A895F2", "#D0A13F"),
+            strict=True,
+        )
+    ),
+    PATH_COLOR: "#7D858D",
+    POINT_COLOR: "#9AA3AC",
+}
 
 # From the path outwards. Each is the part of Viridis that stands out from its page: what is far
 # from the path does most.

@@ -10,6 +10,7 @@ from typing import Any
 
 from adp_path_follower import __version__
 from adp_path_follower.core.files import write_output
+from adp_path_follower.drawing.figure_style import ON_DARK
 from adp_path_follower.extras import require
 
 
@@ -34,7 +35,7 @@ def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) 
     )
     for figure in data["figures"].values():
         figure["layout"].pop("template", None)  # the page has its own colours
-    coded = _packed(to_json_plotly(data))
+    coded = _packed(to_json_plotly(data | {"on_dark": ON_DARK}))
     page = environment.get_template(f"{name}.html.j2").render(
         **content,
         plays=bool(data.get("motions")),

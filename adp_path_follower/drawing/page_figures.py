@@ -9,12 +9,25 @@ import numpy as np
 import plotly.graph_objects as go
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.drawing.charts import KINDS, Line, Panel, ShownRun, SteeringMap, Track
-from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, color, is_dashed
+from adp_path_follower.drawing.charts import (
+    KINDS,
+    Line,
+    Panel,
+    ShownRun,
+    SteeringMap,
+    Track,
+    curve_numbers,
+)
+from adp_path_follower.drawing.figure_style import (
+    COLORS,
+    DISTANCE_SCALES,
+    PATH_COLOR,
+    color,
+    is_dashed,
+)
 
-_GREY = "rgba(128,128,128,0.35)"
-_PATH_COLOR = "rgba(128,128,128,0.6)"
-_OPTIMUM = "#D55E00"
+_GREY = "rgba(128,128,128,0.45)"
+_OPTIMUM = COLORS[1]
 _PANEL_HEIGHT = 190  # [px]
 _ROOM = 0.06  # between two panels, as a share of all
 _FRAME = 90  # [px] above and below the panels
@@ -98,7 +111,7 @@ def _track(runs: Sequence[ShownRun]) -> go.Figure:
             x=_small(points[:, 0]),
             y=_small(points[:, 1]),
             mode="lines",
-            line={"color": _PATH_COLOR, "width": 6, "simplify": False},
+            line={"color": PATH_COLOR, "width": 6, "simplify": False},
             name="path",
             showlegend=index == 0,
             hoverinfo="skip",
@@ -178,10 +191,12 @@ def _over_time(key: str, runs: Sequence[ShownRun]) -> go.Figure:
     named: set[str] = set()
     height = (1.0 - _ROOM * (rows - 1)) / rows
     for index, run in enumerate(runs):
-        for row, panel in enumerate(run.charts.panels.get(key, ())):
+        panels = run.charts.panels.get(key, ())
+        numbers = {} if several else curve_numbers(panels)
+        for row, panel in enumerate(panels):
             limits.setdefault(row, set()).update(filter(np.isfinite, panel.limits))
             by_line = not several and len(panel.lines) > 1
-            for trace in _traces(panel, index, run.name, by_line, by_line or several):
+            for trace in _traces(panel, index, run.name, numbers if by_line else None, several):
                 trace.showlegend = trace.showlegend and trace.legendgroup not in named
                 if trace.showlegend:
                     named.add(str(trace.legendgroup))
@@ -194,6 +209,8 @@ def _over_time(key: str, runs: Sequence[ShownRun]) -> go.Figure:
             }
             if panel.logarithmic:
                 axis |= {"type": "log", "exponentformat": "power"}
+            if panel.span is not None and not several:
+                axis["range"] = list(panel.span)
             figure.update_layout({f"yaxis{_suffix(row)}": axis})
     for row, values in limits.items():
         for value in sorted(values):
@@ -238,21 +255,25 @@ def _span(runs: Sequence[ShownRun]) -> list[float]:
     return [float(first - room), float(last + room)]
 
 
-def _traces(panel: Panel, index: int, run: str, by_line: bool, named: bool) -> list[go.Scatter]:
-    """Return the curves of a panel: coloured by curve, or by run."""
+def _traces(
+    panel: Panel, index: int, run: str, numbers: dict[str, int] | None, several: bool
+) -> list[go.Scatter]:
+    """Return the curves of a panel: coloured by the curve's number, or by run if there is none."""
     behind = [line for line in panel.lines if line.background]
     shown = [line for line in panel.lines if not line.background]
+    named = several or numbers is not None
     traces = [_background(behind)] if behind else []
-    for number, line in enumerate(shown):
-        name = _plain(line.name if by_line else run)
+    for line in shown:
+        number = index if numbers is None else numbers[line.name]
+        name = _plain(run if numbers is None else line.name)
         traces.append(
             go.Scatter(
                 x=_small(line.time),
                 y=_small(line.values),
                 mode="lines",
                 line={
-                    "color": color(number if by_line else index),
-                    "dash": "dash" if by_line and is_dashed(number) else "solid",
+                    "color": color(number),
+                    "dash": "dash" if numbers is not None and is_dashed(number) else "solid",
                     "width": 1.6,
                     "shape": "hv" if panel.steps else "linear",
                 },
@@ -275,6 +296,7 @@ def _background(lines: Sequence[Line]) -> go.Scatter:
         line={"color": _GREY, "width": 1},
         showlegend=False,
         hoverinfo="skip",
+        meta="behind",  # page.js fits the axes to the others
     )
 
 

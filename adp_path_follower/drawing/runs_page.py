@@ -22,8 +22,13 @@ def write_runs_page(
     file: FilePath, title: str, about: str, maker: str, runs: Sequence[ShownRun], table: Table
 ) -> None:
     """Write the page of runs that start together; raise AdpError if it cannot be written."""
+    several = len(runs) > 1
+    arrows = "Every arrow is a robot" if several else "The arrow is the robot"
     captions = (
-        ("track", "The race", "Every arrow is a robot at the time of the slider below."),
+        (
+            *("track", "The race" if several else "The drive"),
+            f"{arrows} at the time of the slider below.",
+        ),
         ("distance", "Distance from the path", "Positive to the left of the path."),
         ("cost", "Cost so far", "∫ eᵀQe + uᵀRu from the start: the lowest curve is the best."),
         ("commands", "Commands", "Each holds until the next; the dashed lines are the limits."),

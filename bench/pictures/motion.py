@@ -75,7 +75,7 @@ def draw(follower: PathFollower, rows: FloatArray, file: FilePath) -> None:
         upper.plot(place, planned, color=COLORS[1], label="planned, v_des(s_p)", linewidth=3.0)
         upper.plot(shown[:, 0], shown[:, 2], color=COLORS[0], label="driven", linewidth=1.0)
         upper.set_ylabel("v [m/s]")
-        upper.legend(loc="lower left")
+        upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         turning = planned * follower.path.curvature(place)
         lower.plot(place, turning, color=COLORS[1], label="planned, κ v_des", linewidth=3.0)
         lower.plot(shown[:, 0], shown[:, 3], color=COLORS[0], label="driven", linewidth=1.0)

@@ -354,6 +354,28 @@ def test_the_track_stands_out_from_either_page(pages, browser):
         before = scale
 
 
+def test_curves_stand_out_from_either_page(pages, browser):
+    """Also after the theme has changed: each has the same colours again."""
+    visit = open_page(browser, pages["one"])
+    found = {}
+    for scheme in ("light", "dark", "light"):
+        visit.page.emulate_media(color_scheme=scheme)
+        for _ in range(100):  # the page hears of it a little later
+            colors = set(
+                visit.page.evaluate(
+                    "[...document.querySelectorAll('[data-figure]')].flatMap((figure) => figure"
+                    "._fullData.filter((trace) => trace.meta !== 'behind').map((trace) =>"
+                    " trace.line?.color)).filter((color) => color?.startsWith('#'))"
+                )
+            )
+            if colors not in [known for other, known in found.items() if other != scheme]:
+                break
+            visit.page.wait_for_timeout(20)
+        assert len(colors) > 3
+        assert min(contrast(visit.page, color, "--page") for color in colors) >= 4.5
+        assert found.setdefault(scheme, colors) == colors
+
+
 def contrast(page: Any, first: str, second: str) -> float:
     """Return the contrast ratio of two colours, or names of the page's, as WCAG defines it."""
 

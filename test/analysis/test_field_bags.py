@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
-from adp_path_follower.core.errors import FileError
 from bag_messages import (
     SECOND,
     drive_along,
@@ -135,10 +134,47 @@ def test_a_static_transform_the_other_way_round(tmp_path):
     assert analysed(tmp_path, [static, *messages]).metrics["cross_track_max"] < 0.003
 
 
-def test_without_a_transform_the_comparison_is_refused(tmp_path):
-    messages = drive_along(along(CORNERS), CORNERS, path_frame="map")
-    with pytest.raises(FileError, match=r"path in frame 'map' and the odometry in 'odom'.*no tran"):
-        analysed(tmp_path, messages)
+def test_without_a_transform_all_but_the_comparison_is_reported(tmp_path):
+    messages = sorted(drive_along(along(CORNERS), CORNERS, path_frame="map"), key=lambda m: m[1])
+    write_bag(tmp_path / "bag", messages)
+    limits = ["distance>6.4", "command_rate>49", "cross_track_rms<9", "path_covered>0", "cost<9"]
+    required = itertools.chain.from_iterable(("--require", limit) for limit in limits)
+    done = adp("analyze", "bag", "--out", "out", *required, cwd=tmp_path)
+    found = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert done.returncode == 1
+    assert [item["met"] for item in found["requirements"]] == [[True], [True], *[[False]] * 3]
+    metrics = {name: value for name, value in found["bags"][0]["metrics"].items() if value}
+    assert metrics["distance"] == pytest.approx(LENGTH, rel=0.01)
+    assert metrics["duration"] == pytest.approx(LENGTH / 0.5, rel=0.01)
+    assert not any(name.startswith(("cross", "heading", "steady", "path")) for name in metrics)
+    assert "cross_track_rms is not known, hardly measured: 0 of 650 poses could be" in done.stderr
+    assert (
+        "nothing is compared with the path in frame 'map': the odometry is in 'odom', and the bag "
+        "has no transform between them; record /tf and /tf_static, too, or name a path in 'odom' "
+        "by --path"
+    ) in done.stderr
+    track = np.loadtxt(tmp_path / "out" / "trajectory.tum")
+    np.testing.assert_allclose(track[-1, 1:3], CORNERS[-1], atol=0.02)
+    assert "were driven, not compared with the path" in (tmp_path / "out/report.html").read_text()
+
+
+def test_only_poses_with_a_transform_are_compared(tmp_path):
+    """The localisation is lost after a third; what odometry drifts by then is not known."""
+    poses = along(CORNERS)
+    third = len(poses) // 3
+    messages = drive_along(poses, [tuple(pose) for pose in in_map(poses)], path_frame="map")
+    tf = [
+        ("/tf", now - 1, transform(now, "map", "odom", *TURNED))
+        for topic, now, _ in messages[: 2 * third]
+        if topic == "/odom"
+    ]
+    found = analysed(tmp_path, [*messages, *tf])
+    assert found.metrics["cross_track_max"] < 0.003
+    known = 0.5 * (third / 50.0 + 1.04)  # and a second beyond the last
+    assert found.metrics["path_covered"] == pytest.approx(known, abs=0.02)
+    assert found.metrics["distance"] == pytest.approx(LENGTH, rel=0.01)
+    assert "poses could be compared with the path" in found.trust.doubt("cross_track_rms")
+    assert not found.trust.doubt("distance")
 
 
 # Stamps

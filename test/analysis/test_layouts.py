@@ -15,18 +15,12 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 import yaml
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from adp_path_follower.core.path.library import lissajous
-from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import config_file
-from adp_path_follower.study.demo.closed_loop import run_closed_loop
-from adp_path_follower.study.simulation.simulate import PAPER_START
 
 pytestmark = pytest.mark.nodes
 
@@ -70,20 +64,11 @@ class Bag:
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory) -> Bag:
+def bag(recommended_run) -> Bag:
     """Return what the real nodes have just recorded."""
-    directory = run_closed_loop(
-        load_settings(Settings, "path_follower", None),
-        lissajous(),
-        "lissajous",
-        np.array(PAPER_START),
-        1.0,
-        tmp_path_factory.mktemp("run"),
-        lambda progress: None,
-    )
     store = get_typestore(Stores.ROS2_JAZZY)
     types, messages = {}, {}
-    with Reader(directory) as reader:
+    with Reader(recommended_run) as reader:
         for connection, _, raw in reader.messages():
             types[connection.topic] = connection.msgtype
             message = store.deserialize_cdr(raw, connection.msgtype)

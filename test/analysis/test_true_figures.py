@@ -64,6 +64,78 @@ class Truth:
     cross_track: np.ndarray
 
 
+def arc(start, turn, radius, backwards=False, step=0.05):
+    """Return poses on an arc from a pose by an angle [rad], left if positive, (N, 3)."""
+    angle = np.linspace(0.0, turn, max(8, round(radius * abs(turn) / step)))
+    sign = -1.0 if backwards else 1.0
+    left = math.copysign(radius, turn) * sign
+    x, y, heading = start
+    here = heading + angle
+    return np.column_stack(
+        [
+            x + left * (np.sin(here) - math.sin(heading)),
+            y - left * (np.cos(here) - math.cos(heading)),
+            here,
+        ]
+    )
+
+
+def straight(start, length, step=0.05):
+    """Return poses on a line from a pose, backwards if the length [m] is negative, (N, 3)."""
+    along = np.linspace(0.0, length, max(8, round(abs(length) / step)))
+    x, y, heading = start
+    ahead = np.outer(along, [math.cos(heading), math.sin(heading)])
+    return np.column_stack([np.add(ahead, [x, y]), np.full(len(along), heading)])
+
+
+def three_point_turn():
+    first = arc((0.0, 0.0, 0.3), 1.2, 1.2)
+    second = arc(first[-1], 1.0, 1.0, backwards=True)
+    return [(first, False), (second, True), (straight(second[-1], 2.0), False)]
+
+
+def parking():
+    first = straight((1.0, -2.0, -0.7), 3.0)
+    second = arc(first[-1], -1.3, 1.0, backwards=True)
+    return [(first, False), (second, True), (straight(second[-1], -1.0), True)]
+
+
+def there_and_back():
+    first = straight((0.0, 0.0, 2.0), 2.5)
+    return [(first, False), (straight(first[-1], -2.5), True)]
+
+
+REVERSALS = {"turn": three_point_turn(), "parking": parking(), "back": there_and_back()}
+
+
+def shuttled(parts, speed: float, rate: float, swing: float) -> Truth:
+    """Return a robot that swings about paths one after the other, forwards or in reverse."""
+    poses, velocity, lateral = [], [], []
+    for points, backwards in parts:
+        path = Path.from_points(points[:, :2], closed=False)
+        place = np.arange(0.0, path.length, speed * STEP)
+        waves = 2.0 * math.pi * max(1, round(path.length / math.pi)) / path.length
+        frame, aside = path.frame(place), swing * np.sin(waves * place)
+        x, y, tangent = frame.pose.T
+        slope = np.arctan2(waves * swing * np.cos(waves * place), 1.0 - frame.curvature * aside) + (
+            math.pi if backwards else 0.0
+        )
+        heading = np.unwrap(tangent) + slope
+        moved = np.column_stack([x - aside * np.sin(tangent), y + aside * np.cos(tangent), heading])
+        poses.append(moved)
+        steps = np.hypot(*np.diff(moved[:, :2], axis=0, append=moved[-1:, :2]).T)
+        velocity.append((-steps if backwards else steps) / STEP)
+        lateral.append(np.abs(aside))
+    all_poses, all_lateral = np.concatenate(poses), np.concatenate(lateral)
+    rows = np.arange(0, len(all_poses), max(1, round(1.0 / (rate * STEP))))
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(all_poses[:, :2], axis=0).T))])
+    covered = speed * STEP * rows[-1]
+    return Truth(
+        STEP * rows, all_poses[rows], np.concatenate(velocity)[rows], float(driven[rows[-1]]),
+        float(covered), all_lateral[rows],
+    )  # fmt: skip
+
+
 def simulated(points, speed: float, rate: float, swing: float, backwards: bool) -> Truth:
     """Return a robot that swings about a path, along it, and back for the last metre if asked."""
     path = Path.from_points(points, closed=False)
@@ -137,6 +209,32 @@ def test_figures_are_those_of_the_simulation(route, speed, rate, swing, noise, b
     assert found["cross_track_max"] == pytest.approx(
         float(truth.cross_track.max()), rel=0.01, abs=0.001 + 5.0 * noise
     )
+
+
+@settings(max_examples=EXAMPLES, deadline=None)
+@given(
+    route=st.sampled_from(sorted(REVERSALS)),
+    speed=st.floats(0.2, 0.6),
+    rate=st.sampled_from([2.0, 5.0, 20.0, 50.0]),
+    swing=st.sampled_from([0.0, 0.02]),
+    noise=st.sampled_from([0.0, 0.002]),
+    oriented=st.booleans(),
+    seed=st.integers(0, 99),
+)
+def test_figures_of_a_robot_that_reverses(route, speed, rate, swing, noise, oriented, seed):
+    """By the orientations of the path, or its cusps alone."""
+    parts = REVERSALS[route]
+    truth = shuttled(parts, speed, rate, swing)
+    points = np.concatenate([part for part, _ in parts])
+    points[:, 2] *= oriented
+    found = figures(bag_of(truth, points, noise, 0.0, seed))
+    slack = 0.001 + 6.0 * noise
+    assert found["duration"] == pytest.approx(truth.time[-1], abs=1e-6)
+    assert found["distance"] == pytest.approx(truth.distance, rel=0.01, abs=slack)
+    assert found["path_covered"] == pytest.approx(truth.covered, rel=0.01, abs=slack)
+    rms = math.sqrt(float(np.mean(truth.cross_track**2)) + noise**2)
+    assert found["cross_track_rms"] == pytest.approx(rms, rel=0.01, abs=0.001)
+    assert found["heading_max"] < 0.2
 
 
 @settings(max_examples=max(2, EXAMPLES // 3), deadline=None)

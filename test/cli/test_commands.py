@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import resource
 import subprocess
 import sys
 from pathlib import Path as FilePath
@@ -57,6 +58,26 @@ def test_what_the_operating_system_refuses_is_one_sentence(tmp_path):
     assert done.returncode == 2
     told = "adp: output /dev/full cannot be written: No space left on device"
     assert done.stderr.splitlines()[-1] == told
+
+
+@pytest.fixture
+def most_bytes():
+    """Let no file grow above so many bytes, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("name", ["optima.png", "optima.svg"])
+def test_no_half_of_a_picture_stays_on_a_full_disk(tmp_path, most_bytes, name):
+    most_bytes(2000)
+    done = adp("optimum", "--figure", name, cwd=tmp_path)
+    most_bytes(resource.RLIM_INFINITY)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == f"adp: output {name} cannot be written: File too large"
+    assert not list(tmp_path.iterdir())
+    assert adp("optimum", "--figure", name, cwd=tmp_path).returncode == 0
+    assert (tmp_path / name).stat().st_size > 2000
 
 
 def test_help_teaches():

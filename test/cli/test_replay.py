@@ -23,32 +23,21 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.messages.configuration import configuration_text, parse_configuration
-from adp_path_follower.study.demo.closed_loop import run_closed_loop
 from adp_path_follower.study.replay import republish
 from adp_path_follower.study.replay.replay import compare_weights, replay, rerun
 from adp_path_follower.study.replay.republish import recorded_messages
-from adp_path_follower.study.simulation.simulate import PAPER_START
 from bag_messages import odometry, path_message, raw
 from commands import adp
 
 pytestmark = pytest.mark.nodes
 
-DURATION = 5.0  # [s] simulated
-STEPS = round(100 * DURATION) + 1
+STEPS = 501  # of the five seconds that `recommended_run` records
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory) -> FilePath:
+def bag(recommended_run) -> FilePath:
     """Return the bag of a run in lock-step with the recommended settings."""
-    return run_closed_loop(
-        load_settings(Settings, "path_follower"),
-        lissajous(),
-        "lissajous",
-        np.array(PAPER_START),
-        DURATION,
-        tmp_path_factory.mktemp("run"),
-        lambda progress: None,
-    )
+    return recommended_run
 
 
 def adp_replay(folder: FilePath, *arguments: str, **environment: str):
@@ -63,7 +52,7 @@ def adp_replay(folder: FilePath, *arguments: str, **environment: str):
 
 
 def test_the_same_parameters_give_the_same_commands_and_weights(bag, tmp_path):
-    done = adp_replay(tmp_path, str(bag))
+    done = adp("replay", str(bag), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
         f"{STEPS} of {STEPS} commands are identical to the last bit",
@@ -117,9 +106,8 @@ def test_other_parameters_give_a_bag_and_a_report(bag, tmp_path):
 
 
 def test_in_a_closed_loop_the_motion_is_another(bag, tmp_path):
-    done = adp_replay(
-        tmp_path, str(bag), "--set", "desired_speed=0.3", "--closed-loop", "--out", "out"
-    )
+    changed = ("--set", "desired_speed=0.3", "--closed-loop", "--out", "out")
+    done = adp("replay", str(bag), *changed, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     old, new = read_run(bag), read_run(tmp_path / "out" / "bag_replayed")
     first, second = old.series["odom"].values, new.series["odom"].values
@@ -232,7 +220,7 @@ def test_messages_that_are_cut_are_not_played(tmp_path):
 
 
 def test_nothing_to_play_is_one_sentence(tmp_path):
-    done = adp_replay(tmp_path, str(tmp_path / "none"))
+    done = adp("replay", str(tmp_path / "none"))
     assert done.returncode == 2
     assert done.stderr == f"adp: bag {tmp_path / 'none'} does not exist\n"
 

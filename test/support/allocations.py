@@ -81,13 +81,14 @@ def most_memory(robot, steps):
 
 def main(kind, values):
     """Print what a robot of some settings takes by lines, or the most of two stretches."""
-    tracemalloc.start()
     robot = Robot(**json.loads(values))
     if kind == "lines":
         robot.drive(LAP)  # the knots of a lap are known from now on
+        tracemalloc.start()
         print(json.dumps(allocated_by_lines(robot, 20)))
         return
     robot.drive(LAP + 200)
+    tracemalloc.start()  # only now, for it makes a step three times as long
     print(json.dumps([most_memory(robot, 400), most_memory(robot, 400)]))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
+import itertools
 import json
 import os
 import resource
@@ -146,18 +147,25 @@ def forked_node(
     arguments: tuple[str, ...] = (),
 ) -> Any:
     """Return a node of the package as a fork of the server; see `NodeProcess`."""
+    from adp_path_follower.core.settings.schema import yaml_text
     from adp_path_follower.study.demo.closed_loop import NodeProcess
 
     class ForkedNode(NodeProcess):
         """A node that a server has started."""
 
-        def _started(self, arguments: list[str], environment: dict[str, str]) -> Any:
-            return server.start(arguments, environment, self.log)
+        def __init__(self) -> None:  # all of its own: nothing of NodeProcess starts a process
+            self.name, self.log = executable, log
+            settings = (("-p", f"{name}:={yaml_text(value)}") for name, value in parameters.items())
+            self.process = server.start(
+                [executable, "--ros-args", *itertools.chain(*settings), *arguments],
+                {**os.environ, "ROS_DOMAIN_ID": str(domain)},
+                log,
+            )
 
         def stop(self, number: int = signal.SIGINT, timeout: float = 60.0) -> int:
             return super().stop(number, timeout)
 
-    return ForkedNode(executable, parameters, log=log, domain=domain, arguments=arguments)
+    return ForkedNode()
 
 
 def _preload() -> None:

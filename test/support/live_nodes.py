@@ -24,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
 from adp_path_follower.study.demo.closed_loop import NodeProcess
+from forked_nodes import ForkedProcess, NodeServer
 
 TIMEOUT = 30.0  # [s] for anything that must happen; a loaded machine is slow, not wrong
 _FIRST_ANSWER_TIMEOUT = 8.0  # [s] after which a service is called again
@@ -191,21 +192,17 @@ class Peer:
 
 
 @contextlib.contextmanager
-def running_script(text: str, domain: int, log: FilePath) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a Python script as a process on a domain; kill it unless it has ended by then."""
-    with (
-        log.open("wb") as output,
-        subprocess.Popen(
-            [sys.executable, "-c", text],
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-            stdout=output,
-            stderr=subprocess.STDOUT,
-        ) as process,
-    ):
-        try:
-            yield process
-        finally:
-            process.kill()
+def running_script(
+    server: NodeServer, text: str, domain: int, log: FilePath
+) -> Iterator[ForkedProcess]:
+    """Run a Python script as a fork of a server, on a domain; kill it unless it has ended."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    process = server.start([], environment, log, script=text)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
 
 
 def is_zero(command: TwistStamped) -> bool:

@@ -121,7 +121,7 @@ def _missed(analyses: list[BagAnalysis], limits: list[Requirement]) -> list[str]
         if not item.meets(limit):
             value, doubt = item.numbers.get(limit.name, math.nan), item.trust.doubt(limit.name)
             found = "not known" if math.isnan(value) else f"{value:.6g}"
-            found += f", but hardly measured: {doubt}" if doubt else ""
+            found += f", hardly measured: {doubt}" if doubt else ""
             missed.append(
                 f"required {limit.text} is not met by {item.name}: {limit.name} is {found}"
             )

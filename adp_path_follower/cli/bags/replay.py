@@ -23,9 +23,9 @@ from adp_path_follower.cli.outputs import (
     check_writable,
     output_directory,
     page_address,
+    whole_file,
 )
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parse_assignment
@@ -179,13 +179,13 @@ def _write_comparison(
     if csv_file is not None:
         table = np.column_stack([_seconds(found), found.recorded, found.replayed])
         header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
-        with output_to(csv_file):
-            np.savetxt(csv_file, table, delimiter=",", header=header, comments="", fmt="%.17g")
+        with whole_file(csv_file) as file:
+            np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.17g")
     if figure_file is not None:
         from adp_path_follower.study.replay.figures import draw_replay
 
-        with output_to(figure_file):
-            draw_replay(found, figure_file)
+        with whole_file(figure_file) as file:
+            draw_replay(found, file)
 
 
 def _write_report(

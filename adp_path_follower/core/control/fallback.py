@@ -4,7 +4,9 @@ Along the learned policy the learned value function changes by V' = delta - r, w
 error delta and the running cost r. While delta <= c r with c < 1, V falls at least by (1 - c) r, so
 that a V that is not negative bounds the cost to come by V / (1 - c) (relaxed dynamic programming).
 Where that does not hold, or V is much smaller than the Riccati solution's value, the learned policy
-is doubtful, and the Riccati policy drives.
+is doubtful, and the Riccati policy drives. But V rises also where a limit binds, or the speed along
+the path falls faster than V can know: as no fault of the learner's, as long as the Riccati policy
+would drive much the same.
 """
 
 import math
@@ -19,7 +21,8 @@ from adp_path_follower.core.geometry import FloatArray, Number, clamped, where
 from adp_path_follower.core.settings.groups import Settings
 
 _MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
-_LEAST_VALUE = 0.5  # of the Riccati solution's value: a smaller learned value is doubtful
+# A smaller share of the Riccati solution's value, which knows no bend ahead, is doubtful.
+_LEAST_VALUE = 0.1
 _NOTHING = 0.005  # [m], [rad]: smaller errors do not matter, and approximations decide their cost
 _ROUNDING = 1e-12  # a cost in which rounding decides
 _PROBATION = 0.5  # [s] without doubt, before the learned policy drives again
@@ -93,6 +96,7 @@ class Fallback:
         self._policy, self._distrust = RiccatiPolicy(settings, riccati), Distrust()
         self.reset = self._distrust.reset
         nothing = np.full(3, _NOTHING)
+        self._input_cost = settings.cost.input_cost_matrix()
         self._nothing = float(nothing @ settings.cost.state_cost_matrix() @ nothing)
 
     def doubt(
@@ -102,19 +106,27 @@ class Fallback:
         value: FloatArray,
         zeta: FloatArray,
         curvature: FloatArray,
-        v_des: Number,
+        learned: FloatArray,
+        feedforward: FloatArray,
         dt: float,
         drives: np.ndarray,
     ) -> FloatArray:
         """Return the share of the Riccati policy from 0 to 1, dt [s] after the last, shape (...).
 
         Bellman error delta, running cost r and value, shape (...) each, are those of the learned
-        policy at states zeta (..., 4), where the path has kappa [1/m] and v_des [m/s]. There is no
-        doubt of a policy that does not drive (...), as another one does so far from the path.
+        policy's input (..., 2) at states zeta (..., 4), where the path has kappa [1/m] and
+        [v_ss, w_ss] (..., 2). There is no doubt of a policy that does not drive (...), as another
+        one does so far from the path.
         """
-        riccati_value = self._policy.value(zeta, curvature, v_des)
+        riccati_value = self._policy.value(zeta, curvature, feedforward[..., 0])
         doubtful = is_doubtful(bellman_error, running_cost, value, riccati_value, self._nothing)
-        return self._distrust.share(doubtful & drives, dt)
+        doubtful = doubtful & drives
+        if doubtful.any():
+            safe = self._policy.modified_input(zeta, curvature, feedforward)
+            apart = learned - safe  # costs at least (apart)^T R (apart), by the Riccati value
+            lost = (apart @ self._input_cost * apart).sum(axis=-1)
+            doubtful &= lost > _MOST_ERROR * running_cost + self._nothing
+        return self._distrust.share(doubtful, dt)
 
     def blend(
         self,

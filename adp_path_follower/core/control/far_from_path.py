@@ -64,7 +64,7 @@ def register_far_policy(name: str, factory: Callable[[Settings], FarPolicy]) -> 
 
 
 # [m] between which the approach takes over: the nodes are too rare there. Less below 0.5 m/s.
-_GRID_ENDS = np.array([8.0, 11.0])
+_GRID_ENDS = np.array([11.0, 14.0])
 # [rad] from facing backwards, within which the slope by theta is taken over as much to both sides:
 # the heading of the half-angle form has a kink there, in whose notch robots would stay for ever.
 _NOTCH = 0.25
@@ -142,7 +142,7 @@ class WideRegion:
         scale = problem_of(settings).length_scale
         self._grid_ends = math.sqrt(scale) * _GRID_ENDS
         if self._kind == "value_grid":
-            self._half_widths[:2] *= scale
+            self._half_widths[:2] *= min(1.0, scale)
         self._widths: list[float] = self._half_widths.tolist()
         self._limits = settings.limits
         self._riccati = riccati

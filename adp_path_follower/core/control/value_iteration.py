@@ -23,12 +23,13 @@ _CURVATURES = np.array([0.0, 0.25, 0.6, 1.2])  # [1/m] of the layers
 _REACH = 40.0  # [m]
 _COARSE, _FINE = (25, 25, 20), (41, 41, 28)
 _STEP = 0.15  # [s] of a sweep, or less at speeds at which a step would cross ...
-_STRIDE = 0.25  # [m]
+_STRIDE = 0.25  # [m], more on fast robots: in shorter steps the values would settle too early
 _FAR = 4.0  # [m] from which on steps grow with the distance, as the spacing of the nodes does
 _TURN = 0.3  # [rad] of the target's frame in a step
 _NEAR = 0.3  # [m], [rad] about the path, where the Riccati solution is the value, ...
 _BEND = 2.0  # [m] within which the nodes are about equally spaced, ...
 _USUAL_SPEED = 0.5  # [m/s] along the path: slower robots change their ways within shorter lengths
+_FAST = 2.0  # [m/s]: faster ones within longer lengths
 _POLICY_EVERY = 5  # sweeps from one policy to the next
 _COARSE_SWEEPS = 60
 _SEARCHED = 30  # sweeps of the first grid that try inputs from limit to limit, too
@@ -37,7 +38,7 @@ _SETTLED = 5e-5  # mean change of rho in a sweep
 _MOST_SWEEPS = 400
 _UNLIMITED = 2.0  # speeds where there is no limit, as multiples of v_des + 1/s of the distance
 _MOST_TURN = 1.0  # [rad] of a step where there is no limit
-METHOD = (4, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
+METHOD = (5, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class ValueProblem:
     @property
     def length_scale(self) -> float:
         """Return the length within which the best way changes, as a share of the usual one."""
-        return min(1.0, self.speed / _USUAL_SPEED)
+        return min(1.0, self.speed / _USUAL_SPEED) * max(1.0, self.speed / _FAST)
 
 
 def solve(problem: ValueProblem) -> ValueGrid:
@@ -99,6 +100,7 @@ class _Layer:
         forward = np.array([self._speed, curvature * self._speed])
         self._nodes = np.moveaxis(axes.nodes, 0, -1)
         distance = np.hypot(self._nodes[..., 0], self._nodes[..., 1])
+        self._stride = _STRIDE * max(1.0, problem.length_scale)
         self._step = self._steps(distance, max(limits.upper[0], -limits.lower[0]))
         # Where there is no limit, as much as a step can follow.
         most = np.stack([_UNLIMITED * (self._speed + distance), _MOST_TURN / self._step], axis=-1)
@@ -116,7 +118,7 @@ class _Layer:
         driven = self._speed + np.minimum(fastest, self._speed + distance)
         turned = abs(self._curvature) * (self._speed + self._gain * np.abs(self._nodes[..., 0]))
         wide = np.maximum(_STEP, _TURN / np.maximum(turned, 1e-9))
-        steps = np.minimum(np.minimum(_STEP * growth, wide), _STRIDE * growth / driven)
+        steps = np.minimum(np.minimum(_STEP * growth, wide), self._stride * growth / driven)
         return np.asarray(steps)
 
     def filtered(self, ratio: FloatArray) -> FloatArray:

@@ -13,8 +13,36 @@ from adp_path_follower.core.path.speed_profile import SHARE
 from adp_path_follower.core.settings.groups import MotionSettings, Settings
 
 _RATE = 2.0  # [1/s] of the heading error that is left
+_PART = 0.5 * math.pi  # between two headings on the way
 _DONE = 0.5  # share of yaw_goal_tolerance within which a turn ends, and ...
 _SLOW = 0.15  # [rad/s] ... the angular velocity below which it does
+
+
+class Turn:
+    """A turn on the spot, perhaps more than once round, by way of headings in between."""
+
+    def __init__(self, heading: float, turn: float, pose: FloatArray) -> None:
+        """Turn by an angle to a heading [rad].
+
+        The shorter way from each heading to the next is the turn's. A robot with a pose (3,) goes
+        on from the first of them that is near, and from elsewhere straight to the last.
+        """
+        parts = max(1, math.ceil(abs(turn) / _PART - 1e-9))
+        headings = [heading - turn * (1.0 - part / parts) for part in range(parts + 1)]
+        near = (place for place, here in enumerate(headings) if _is_near(here, pose))
+        self._left = headings[next(near, parts) + 1 :] or [heading]
+
+    def command(
+        self, pose: FloatArray, time: int, actuation: Actuation, settings: Settings
+    ) -> FloatArray | None:
+        """Return the command of `turning_command`, None at the end of the turn."""
+        while len(self._left) > 1 and _is_near(self._left[0], pose):
+            del self._left[0]  # without a stop
+        return turning_command(self._left[0], pose, time, actuation, settings)
+
+
+def _is_near(heading: float, pose: FloatArray) -> bool:
+    return abs(math.remainder(heading - float(pose[2]), math.tau)) <= 0.51 * _PART
 
 
 def turning_command(

@@ -120,11 +120,11 @@ class CommandLaw:
         if self._fallback is not None:
             speed = self._profile.model_speed(arc_length)
             if speed is v_des or not np.any(speed != v_des):
-                found = here, running_cost, measured
+                found = here, learned, running_cost, measured
             else:  # coming from rest, or near the end: judged at the speed that was learned for
                 there = self.situation(frame, error, arc_length, speed)
                 tried = saturate(self.actor_input(there), there.feedforward, limits)
-                found = there, *self._bellman_error(there, *self._unforced(there), tried)
+                found = there, tried, *self._bellman_error(there, *self._unforced(there), tried)
             doubt = self._doubt(self._fallback, *found, dt)
         applied = self._safe_input(here, learned, doubt, dt)
         # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.
@@ -201,13 +201,14 @@ class CommandLaw:
         self,
         fallback: Fallback,
         here: Situation,
+        learned: FloatArray,
         running_cost: FloatArray,
         measured: BellmanErrors,
         dt: float,
     ) -> FloatArray:
         """Return the share of the Riccati policy from 0 to 1, shape (...), equation (5)."""
         value = inner(here.local.weights.critic, here.expansion.value)
-        state = (here.zeta, here.curvature, here.v_des)
+        state = (here.zeta, here.curvature, learned, here.feedforward)
         drives = self._wide_region.share(here.zeta) < 1.0
         return fallback.doubt(measured.error[..., 0], running_cost, value, *state, dt, drives)
 

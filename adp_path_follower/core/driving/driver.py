@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adp_path_follower.core.control.actuation import Actuation
-from adp_path_follower.core.driving.arrival import Standstill, turning_command
+from adp_path_follower.core.driving.arrival import Standstill, Turn
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.driving.output import Counts, FollowerOutput
 from adp_path_follower.core.errors import SettingsError
@@ -93,7 +93,7 @@ class Driver:
         self._learned: PathFollower | None = None  # the follower of the path before
         self.output: FollowerOutput | None = None  # of the last step on the segment
         self._standstill: Standstill | None = None  # between segments
-        self._turn: float | None = None  # [rad]: the heading of a turn on the spot
+        self._turn: Turn | None = None  # on the spot
         self._faces_goal = False  # after the turn at the end of the route
         self._to_learn = False  # from the last step
         self._tell_of_speed()
@@ -269,7 +269,9 @@ class Driver:
                 return self._resting(pose)
             self._standstill = None
             if self._on_last_segment:
-                self._turn = self.route.goal_heading if self.route else None
+                assert self.route is not None
+                assert self.route.goal_heading is not None  # else it is at the goal
+                self._turn = Turn(self.route.goal_heading, self.route.goal_turn, pose)
             else:
                 self._learned = self.follower
                 self._begin_segment(self.segment + 1, 0.0)
@@ -286,21 +288,18 @@ class Driver:
         command = self.robot.command(output.command)
         return output if command is output.command else dataclasses.replace(output, command=command)
 
-    def _turning(self, heading: float, pose: FloatArray, time: int) -> FollowerOutput | None:
-        """Return the output of a turn on the spot to a heading, None when driving begins."""
+    def _turning(self, turn: Turn, pose: FloatArray, time: int) -> FollowerOutput | None:
+        """Return the output of a turn on the spot, None when driving begins."""
         assert self.follower is not None  # one has begun
         if self.output is None:  # before the first step on the segment
             facing = self._present.heading_of_path(pose)
             self.output = self.follower.step_at(facing, time, learn=False)
             self.follower.hold()
-        command = turning_command(heading, pose, time, self._actuation, self.settings)
+        command = turn.command(pose, time, self._actuation, self.settings)
         if command is not None:
             return self._standing(pose, command)
-        self._turn = None
-        if not self._at_segment_end:
-            return None
-        self._faces_goal = True
-        return self._resting(pose)
+        self._turn, self._faces_goal = None, self._at_segment_end
+        return self._resting(pose) if self._faces_goal else None
 
     def _own(self, output: FollowerOutput) -> FollowerOutput:
         """Return an output in the real robot's terms, if its follower's faces the other way.
@@ -378,4 +377,5 @@ class Driver:
             follower.take_over(self._learned)
         self.follower, self._learned, self.output = follower, None, None
         if segment.turn_first and arc_length <= NOISE:
-            self._turn = float(segment.heading_of_path(segment.path.frame(0.0).pose)[2])
+            begin = segment.heading_of_path(segment.path.frame(0.0).pose)
+            self._turn = Turn(float(begin[2]), segment.turn, self._pose)

@@ -37,6 +37,8 @@ from adp_path_follower.core.settings.groups import Settings
 _REST_SHARE = 4  # a learner rests while its robot passes one of so many parts of the preview
 _MOST_UPDATES = 20_000  # that all sweeps together remember: 20 MB with 80 weights
 _AT_ONCE = 16  # robots whose actors follow at once, so that their weights fit into the caches
+# Share of a sweep's knots: at the odd one, as before a sharp bend, the Riccati solution serves.
+_MOST_REFUSED = 0.25
 _NEVER = np.iinfo(np.int64).max // 2  # a knot that no robot reaches
 
 MODEL_SETTINGS = (  # that decide the weights
@@ -229,14 +231,16 @@ class PathLearner:
         self.sampled = SampleEvidence(excitation)
         if update.refusal:
             knots.actor[group.slots] = update.weights
-            group.refused = True
-            self._problems.update(dict.fromkeys(robots.tolist(), update.refusal))
+            group.refused += 1
         group.next_knot()
         if not group.ended:
             return
         self._busy[robots] = False
         if group.refused:
             self._learned_from[robots] = _NEVER
+        if group.refused > _MOST_REFUSED * group.index:
+            refusal = next(filter(None, (made.refusal for made in group.sweep.updates)))
+            self._problems.update(dict.fromkeys(robots.tolist(), refusal))
         elif self._problems:
             for robot in robots.tolist():
                 self._problems.pop(robot, None)

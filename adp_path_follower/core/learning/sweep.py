@@ -53,7 +53,7 @@ class Group:
     slots: np.ndarray | None = None
     done: int = 0  # how many samples of that knot are used for them
     time: float = 0.0  # how long they have been at it [s]
-    refused: bool = False  # whether an update of this sweep was refused
+    refused: int = 0  # how many of its knots kept the Riccati solution
 
     def next_knot(self) -> None:
         """Turn to the next knot."""

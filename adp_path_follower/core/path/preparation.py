@@ -4,7 +4,7 @@ Where the spline through the points is fair, and stays within `path_tolerance` o
 it is the path. Otherwise the polyline is smoothed within the tolerance (`smoothing`). Where the
 motion turns by more than 135 degrees within the tolerance (a cusp), and where the orientations say
 that the robot changes between driving forwards and backwards, the route is cut. So it is at poses
-in one place with different orientations: there the robot turns on the spot.
+in one place with different orientations: there the robot turns on the spot, as far as they do.
 """
 
 import itertools
@@ -66,25 +66,28 @@ def prepare(
     ends = np.append(index[1:], len(np.asarray(points))) - 1  # the last pose in each place
     if said is None and ends[-1] > index[-1]:
         said = False  # its last pose comes twice
-    turns = []
-    if useful is not None:
-        turned = wrap_angle(useful[ends] - useful[index])
-        turns = np.flatnonzero(np.abs(turned) > _TURN).tolist()
-    if turns and useful is not None:
-        route = _turning_route(poses, useful[ends], turns, said, settings)
+    turned = np.zeros(len(index)) if useful is None else _turned(useful, index, ends)
+    if useful is not None and turned.any():
+        route = _turning_route(poses, useful[ends], turned, said, settings)
     else:
         route = _route(poses, said, settings)
-    return replace(
-        route,
-        bend_of_poses=float(np.abs(bends(positions, False)).max(initial=0.0)),
-        goal_heading=_goal_heading(given, route, settings),
-    )
+    route = replace(route, bend_of_poses=float(np.abs(bends(positions, False)).max(initial=0.0)))
+    return _with_goal(route, given, float(turned[-1]), settings)
+
+
+def _turned(headings: FloatArray, index: np.ndarray, ends: np.ndarray) -> FloatArray:
+    """Return by how much the poses from index to end in each place turn [rad], (N,), or zero."""
+    known = np.maximum.accumulate(np.where(np.isfinite(headings), np.arange(len(headings)), 0))
+    unwrapped = np.unwrap(np.nan_to_num(headings[known]))
+    turned = unwrapped[ends] - unwrapped[index]
+    return np.where(np.abs(turned) > _TURN, turned, 0.0)
 
 
 def _turning_route(
-    poses: _Poses, after: FloatArray, turns: list[int], said: bool | None, settings: PathSettings
+    poses: _Poses, after: FloatArray, turned: FloatArray, said: bool | None, settings: PathSettings
 ) -> Route:
-    """Return the route of poses with turns on the spot, after which headings (N,) are those."""
+    """Return the route of poses that turn on the spot by angles (N,) to headings (N,)."""
+    turns = np.flatnonzero(turned).tolist()
     if said:
         raise PathError(
             f"path is said to be closed, but turns on the spot at {poses.place(turns[0])}: a "
@@ -97,21 +100,27 @@ def _turning_route(
         rows = slice(start, stop + 1)
         part = _Poses(poses.points[rows], headings, poses.index[rows])
         first, *rest = _route(part, False, settings).segments
-        segments += [replace(first, turn_first=start in turns), *rest]
+        segments += [replace(first, turn=float(turned[start])), *rest]
     return Route(tuple(segments))
 
 
-def _goal_heading(
-    headings: FloatArray | None, route: Route, settings: PathSettings
-) -> float | None:
-    """Return the heading [rad] of the last pose, None if the robot has it, or there is none."""
+def _with_goal(
+    route: Route, headings: FloatArray | None, turned: float, settings: PathSettings
+) -> Route:
+    """Return a route that ends with the last pose's heading, which turns by an angle [rad]."""
     if headings is None or route.closed or not settings.turn_at_goal:
-        return None
-    wanted, segment = float(headings[-1]), route.segments[-1]
+        return route
+    wanted = float(headings[-1])
     if not (_is_oriented(headings) or wanted):
-        return None
-    end = segment.heading_of_path(segment.path.frame(segment.path.length).pose)
-    return wanted if abs(float(wrap_angle(wanted - end[2]))) > _ALIGNED else None
+        return route
+    turn = float(wrap_angle(wanted - turned - _end_heading(route.segments[-1]))) + turned
+    turns = abs(turn) > _ALIGNED  # which no number is
+    return replace(route, goal_heading=wanted, goal_turn=turn) if turns else route
+
+
+def _end_heading(segment: Segment) -> float:
+    """Return the robot's heading at the end of a segment [rad]."""
+    return float(segment.heading_of_path(segment.path.frame(segment.path.length).pose)[2])
 
 
 def _route(poses: _Poses, said: bool | None, settings: PathSettings) -> Route:
@@ -213,8 +222,12 @@ def _cut_route(
         part = _Poses(poses.points[start : stop + 1], None, poses.index[start : stop + 1])
         direction = directions[0 if number == 0 else cuts[number - 1]]
         reverse = bool(direction < 0)
-        turns = bool(segments) and segments[-1].reverse is reverse
-        segments.append(Segment(_fitted(part, False, tolerance), reverse, turns))
+        segment = Segment(_fitted(part, False, tolerance), reverse)
+        if segments and segments[-1].reverse is reverse:
+            begin = segment.heading_of_path(segment.path.frame(0.0).pose)[2]
+            turn = float(wrap_angle(begin - _end_heading(segments[-1])))
+            segment = replace(segment, turn=turn)
+        segments.append(segment)
     return Route(tuple(segments))
 
 

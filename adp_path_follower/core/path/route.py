@@ -51,7 +51,12 @@ class Segment:
 
     path: Path  # the path, in the direction of motion
     reverse: bool = False  # whether the robot drives along it backwards
-    turn_first: bool = False  # whether it turns on the spot to its beginning
+    turn: float = 0.0  # [rad] by which it turns on the spot before, perhaps more than once round
+
+    @property
+    def turn_first(self) -> bool:
+        """Return whether the robot turns on the spot to the beginning."""
+        return self.turn != 0.0
 
     def heading_of_path(self, pose: FloatArray) -> FloatArray:
         """Return a robot's pose (3,) with the heading that it moves to: turned by pi in reverse."""
@@ -65,6 +70,7 @@ class Route:
     segments: tuple[Segment, ...]
     bend_of_poses: float = math.inf  # [1/m]: the most by which the poses turn, chord by chord
     goal_heading: float | None = None  # [rad] that the robot turns to at the end, None: it does not
+    goal_turn: float = 0.0  # [rad] by which it does
 
     @property
     def length(self) -> float:
@@ -84,11 +90,13 @@ class Route:
     def digest(self) -> str:
         """Return a hash: equal digests are equal routes. That of one path forwards is its own."""
         parts = [
-            segment.path.digest() + "r" * segment.reverse + "t" * segment.turn_first
+            segment.path.digest()
+            + "r" * segment.reverse
+            + f"t{segment.turn:.2f}" * segment.turn_first
             for segment in self.segments
         ]
         if self.goal_heading is not None:
-            parts.append(repr(self.goal_heading))
+            parts.append(f"{self.goal_heading!r} {self.goal_turn:.2f}")
         if parts == [self.segments[0].path.digest()]:
             return parts[0]
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]

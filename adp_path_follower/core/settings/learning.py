@@ -244,7 +244,7 @@ class PolicySettings:
         high=1e6,
     )
     approach_angle: float = setting(
-        1.2,
+        1.5,
         "Largest angle to the path at which wide_region: approach drives towards it.",
         unit="rad",
         low=0.1,

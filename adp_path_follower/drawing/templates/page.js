@@ -37,6 +37,7 @@
       ["time", "x", "y", "theta", "target_x", "target_y"].map((key) => [key, numbers(motion[key])]),
     ),
   }));
+  const shown = (color) => (dark.matches && data.on_dark[color]) || color;
   const first = Math.min(...motions.map((motion) => motion.time[0]));
   const last = Math.max(...motions.map((motion) => motion.time[motion.time.length - 1]));
   let time = Math.min(Math.max(0, first), last);
@@ -74,7 +75,7 @@
       const corner = (angle, length) =>
         `${x + length * size * Math.cos(theta + angle)},${y + length * size * Math.sin(theta + angle)}`;
       const shapes = [{
-        type: "path", name: "robot", fillcolor: motion.color, opacity: 0.95,
+        type: "path", name: "robot", fillcolor: shown(motion.color), opacity: 0.95,
         line: { color: style("--text"), width: 1 },
         path: `M ${corner(0, 1)} L ${corner(2.5, 0.8)} L ${corner(Math.PI, 0.35)} L ${corner(-2.5, 0.8)} Z`,
       }];
@@ -118,6 +119,23 @@
   const coloured = (figure) =>
     figure.data.flatMap((trace, index) => (data.scales && trace.marker?.colorscale ? [index] : []));
   const scale = () => data.scales[dark.matches ? "dark" : "light"];
+  // The colours of curves, markers and swatches are those of the light theme until they are painted.
+  const PAINTED = { "line.color": ["line"], "marker.color": ["marker"], "marker.line.color": ["marker", "line"] };
+  const painted = (trace) => {
+    trace.own ||= Object.fromEntries(Object.entries(PAINTED).map(
+      ([name, way]) => [name, way.reduce((part, step) => part?.[step], trace)?.color],
+    ).filter(([, color]) => typeof color === "string"));
+    return Object.fromEntries(Object.entries(trace.own).map(([name, color]) => [name, shown(color)]));
+  };
+  const paint = (figure) => {
+    for (const trace of figure.data) {
+      for (const [name, color] of Object.entries(painted(trace))) {
+        PAINTED[name].reduce((part, step) => part[step], trace).color = color;
+      }
+    }
+  };
+  const swatches = [...document.querySelectorAll(".swatch")].map((element) => [element, element.dataset.color]);
+  const paintSwatches = () => swatches.forEach(([element, color]) => { element.style.background = shown(color); });
 
   const heightOf = ({ key, layout }) => (key === "track" && narrow.matches ? 420 : layout.height);
   const layoutOf = (figure) => {
@@ -147,6 +165,7 @@
   };
   const draw = async (figure) => {
     for (const index of coloured(figure)) figure.data[index].marker.colorscale = scale();
+    paint(figure);
     await Plotly.newPlot(figure.element, figure.data, layoutOf(figure), {
       responsive: true, displaylogo: false, scrollZoom: false,
       showSendToCloud: false, plotlyServerURL: "",
@@ -172,6 +191,7 @@
   const verticalRanges = (figure, span) => {
     const found = {};
     for (const trace of figure.element._fullData) {
+      if (trace.meta === "behind") continue;
       const name = axisName(trace.yaxis || "y");
       const axis = figure.element._fullLayout[name];
       if (!["linear", "log"].includes(axis.type) || !trace.x) continue;
@@ -198,7 +218,10 @@
     if (span) Object.assign(changes, verticalRanges(figure, span));
     else if (figure.key !== "events") {
       for (const name of Object.keys(figure.element._fullLayout)) {
-        if (/^yaxis\d*$/.test(name)) changes[`${name}.autorange`] = true;
+        if (!/^yaxis\d*$/.test(name)) continue;
+        const range = figure.layout[name]?.range;
+        if (range) changes[`${name}.range`] = [...range];
+        else changes[`${name}.autorange`] = true;
       }
     }
     return Plotly.relayout(figure.element, changes);
@@ -307,9 +330,15 @@
   }
 
   // --- begin ------------------------------------------------------------------------------------
+  paintSwatches();
   dark.addEventListener("change", () => {
+    paintSwatches();
     for (const figure of figures.filter((item) => item.drawn)) {
       Plotly.relayout(figure.element, { template: theme(), shapes: shapes(figure) });
+      figure.data.forEach((trace, index) => {
+        const changes = painted(trace);
+        if (Object.keys(changes).length) Plotly.restyle(figure.element, changes, [index]);
+      });
       const traces = coloured(figure);
       if (traces.length) Plotly.restyle(figure.element, { "marker.colorscale": [scale()] }, traces);
     }

@@ -5,6 +5,7 @@ import fcntl
 import os
 import random
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
 
 _READY_TIMEOUT = 60.0  # [s] for a slow machine to import rclpy four times
 _STALL_TIMEOUT = 30.0  # [s] without any step
+_LEAST_SPACE = 4096  # [bytes] free, without which a node cannot say why it ends
 _GOAL_TIMEOUT = 1.0  # [s] without any step after the goal
 # Lock-step waits for the machine, so wall time says nothing about the odometry.
 _LOCKSTEP = {"control_trigger": "odometry", "path_start": "beginning", "odom_timeout": 30.0}
@@ -95,7 +97,9 @@ class NodeProcess:
     def last_line(self) -> str:
         """Return the last line that the node printed."""
         lines = self.output().strip().splitlines()
-        return lines[-1] if lines else f"exit code {self.process.poll()}"
+        full = shutil.disk_usage(self.log.parent).free < _LEAST_SPACE
+        why = f"no space left in {self.log.parent} for its log" if full else "nothing in its log"
+        return lines[-1] if lines else f"exit code {self.process.poll()}, {why}"
 
     def stop(self, number: int = signal.SIGINT, timeout: float = 10.0) -> int:
         """Ask the node to end, kill its group if it does not, and return its exit code."""

@@ -7,6 +7,7 @@ the printed constants meet the conditions of the paper's own stability theorem?
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -240,6 +241,10 @@ def _thinned(optimum: ReferenceMotion) -> ReferenceMotion:
     )
 
 
+# A legend above its axes, on no curve.
+_ABOVE: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 3}
+
+
 def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...]) -> Figure:
     figure = Figure(figsize=(9.0, 6.5))
     lateral, weights = figure.subplots(2, 1, sharex=True)
@@ -254,10 +259,11 @@ def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...]) -> Figure:
     weights.plot([], [], "k-", label="weight of y θ")
     weights.plot([], [], "k--", label="weight of y²")
     title = "The printed laws for ten minutes: lateral regulation is unlearned"
-    lateral.set(ylabel="y [m]", ylim=(-0.6, 0.6), title=title)
+    figure.suptitle(title)
+    lateral.set(ylabel="y [m]", ylim=(-0.6, 0.6))
     weights.set(xlabel="time [s]", ylabel="actor weight")
     for axes in (lateral, weights):
-        axes.legend(loc="upper right")
+        axes.legend(**_ABOVE)
     figure.tight_layout()
     return figure
 
@@ -280,9 +286,10 @@ def _gain_conditions(theorem: Theorem) -> Figure:
     for x, values in ((place - 0.18, has), (place + 0.18, needs)):
         for position, value in zip(x, values, strict=True):
             axes.text(position, value, f"{value:.3g}", ha="center", va="bottom")
-    axes.set_yscale("log")
+    axes.set(yscale="log", ylabel="value")
     axes.set_xticks(place, names)
-    axes.legend()
+    axes.legend(**_ABOVE)
+    axes.set_title(axes.get_title(), pad=28)
     return figure
 
 
@@ -291,7 +298,7 @@ def _lyapunov(theorem: Theorem) -> Figure:
     axes.plot(theorem.time, theorem.lyapunov, "-o", color=COLORS[0], label="V_L", markersize=3)
     axes.plot(theorem.time, theorem.value, "-o", color=COLORS[1], label="V* alone", markersize=3)
     axes.plot(theorem.time, theorem.residual, "-o", color=COLORS[2], label="‖ε′‖", markersize=3)
-    axes.set(xlabel="time [s]", yscale="log")
+    axes.set(xlabel="time [s]", ylabel="value", yscale="log")
     axes.legend()
     return figure
 

@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 from optuna.trial import FrozenTrial
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.drawing.figure_style import COLORS
+from adp_path_follower.drawing.figure_style import COLORS, POINT_COLOR
 from adp_path_follower.drawing.page import write_page
 from adp_path_follower.study.sweeps.request.conditions import WHERE_KNOWN
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES, UNSTABLE_SCORE
@@ -190,7 +190,7 @@ def _pareto(found: Results) -> go.Figure:
     figure = go.Figure()
     some = [found.stable[place] for place in spread]
     for trials, name, mode, color in (
-        (some, "settings", "markers", "rgba(128,128,128,0.55)"),
+        (some, "settings", "markers", POINT_COLOR),
         (found.front, "Pareto front", "lines+markers", COLORS[1]),
     ):
         figure.add_scatter(

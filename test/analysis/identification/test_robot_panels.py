@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from robots import TYPICAL
 
 from adp_path_follower.analysis.bag_analysis import analyse_bag
@@ -55,6 +56,21 @@ def test_parameters_and_velocities_are_shown_where_they_were_recorded(tmp_path):
         # The encoders' noise alone is left, by a model of another program's robot.
         assert np.std(measured.values - expected) < 1.5 * noise
         assert np.std(measured.values) > 5.0 * noise
+
+
+def test_a_robot_of_which_nothing_is_learned_has_no_band_and_a_fitting_axis(tmp_path):
+    """The deviations with which learning begins would dwarf every estimate."""
+
+    def told(second):
+        lags, gains = [0.3] * 3, [0.1 / second**2] * 3
+        return [0.0, 0.0, 0.0, 1.0, 1.0, 0.0, np.inf, np.inf, *lags, *gains, 0.9]
+
+    times, gains, bias = charts_of_a_bag(tmp_path, told).panels["robot_model"]
+    assert [line.background for line in times.lines] == [False] * 3
+    assert times.span == (-0.05, 0.05)
+    assert sum(line.background for line in gains.lines) == 4
+    assert gains.span == pytest.approx((0.98, 1.02))
+    assert bias.span == pytest.approx((-0.02, 0.02))
 
 
 def test_models_of_other_versions_and_damaged_ones_show_nothing(tmp_path):

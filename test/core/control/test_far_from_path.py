@@ -100,7 +100,9 @@ def test_in_between_the_share_of_the_far_policy_rises(kind, direction, low, high
 def test_the_input_is_continuous_on_the_way_out(kind, direction, learned, curvature):
     levels = np.linspace(0.5 * START, 1.5 * END, 4001)
     error = levels[:, None] * direction * HALF_WIDTHS
-    applied = blended(kind, error, np.tile(learned, (len(levels), 1)), curvature)
+    # With a greater angle to the path it would be nearer to turn the other way round at the end.
+    values = {"approach_angle": 1.2}
+    applied = blended(kind, error, np.tile(learned, (len(levels), 1)), curvature, **values)
     assert np.abs(np.diff(applied, axis=0)).max() < 0.03
 
 

@@ -130,6 +130,8 @@ def test_noise_does_not_keep_a_robot_between_two_ways():
         ({}, 18.0, 100, 130.0),
         # Eight of 300 once stayed where they faced backwards.
         ({"desired_speed": 2.0, "max_linear_vel": 3.0, "max_angular_vel": 3.0}, 3.0, 300, 30.0),
+        # Once 37 of 60 drove on backwards, beside a target that did as well.
+        ({"desired_speed": 5.0, "max_linear_vel": 9.0, "max_angular_vel": 9.0}, 6.0, 60, 20.0),
     ],
 )
 def test_every_robot_comes_to_the_path(changes, radius, count, duration):

@@ -59,6 +59,43 @@ def test_a_robot_turns_where_the_poses_turn_and_never_reverses(limits, stop_afte
         assert np.abs(np.diff(commands[turning][:, 1])).max() <= 3.0 * 1e-9 * PERIOD + 1e-9
 
 
+@pytest.mark.parametrize("place", [0.0, 1.0, 2.0], ids=["begin", "middle", "goal"])
+@pytest.mark.parametrize("degrees", [360, -360, 540, -270])
+def test_a_robot_turns_as_far_round_as_the_poses_do(place, degrees):
+    """In their direction: at the beginning, on the way, and at the goal."""
+    x = np.arange(0.0, 2.01, 0.1)
+    turned = x > place + 0.01 if place < 2.0 else np.zeros(len(x), dtype=bool)
+    spot = round(10.0 * place)
+    spin = np.radians(np.arange(0, degrees, math.copysign(90, degrees)))
+    along = np.where(turned, 2.0 * place - x, x)
+    if degrees % 360 == 0:
+        along = x
+    headings = np.concatenate([np.zeros(spot), spin, np.full(21 - spot, math.radians(degrees))])
+    points = np.zeros((len(headings), 2))
+    points[:, 0] = np.concatenate([along[:spot], np.full(len(spin), place), along[spot:]])
+    if degrees == -270:  # it goes on to the left
+        points[spot + len(spin) :] = np.stack([np.full(21 - spot, place), x[: 21 - spot]], axis=1)
+    route = prepare(points, PathSettings(), headings)
+    poses, commands = driven(route, [0.0, 0.0, 0.0], **LIMITS)
+    turning = (commands[:, 0] == 0.0) & (commands[:, 1] != 0.0)
+    rate = commands[turning][:, 1] * 1e-9 * PERIOD
+    assert math.degrees(rate.sum()) == pytest.approx(degrees, abs=6.0)
+    assert commands[:, 0].min() >= 0.0
+    np.testing.assert_allclose(poses[-1, :2], points[-1], atol=0.06)
+
+
+def test_a_full_turn_that_is_stopped_goes_on():
+    spin = np.radians([0, 0, 90, 180, 270, 360, 360])
+    points = np.zeros((7, 2))
+    points[:, 0] = [0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0]
+    route = prepare(points, PathSettings(), spin)
+    poses, _ = driven(route, [0.0, 0.0, 0.0], stop_after=500, **LIMITS)
+    stopped = poses[499, 2]
+    assert 0.9 < stopped < 5.5  # in the turn
+    assert np.abs(np.diff(np.unwrap(poses[:, 2]))).sum() < 2.0 * math.pi + 1.0
+    np.testing.assert_allclose(poses[-1, :2], [2.0, 0.0], atol=0.06)
+
+
 def test_the_last_pose_has_a_heading_to_turn_to():
     poses, commands = driven(case("goal_yaw.csv"), [0.0, 0.0, 0.0])
     assert abs(poses[-1, 2] - 2.0) < 0.1

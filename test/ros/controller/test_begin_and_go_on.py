@@ -54,8 +54,9 @@ def test_all_of_a_path_is_driven(peer, start, name, paths, behind, turn):
     route = case(name)
     simulated(start, route, behind, turn, lockstep=True, rate=25.0)
     peer.until_matched(peer.path)
+    peer.until(lambda: odometry, "odometry of the beginning")
     start("path_publisher", path=str(CASES / name))
-    peer.until(lambda: "goal reached" in controller.output(), "the goal")
+    peer.until(lambda: "goal reached" in controller.output(), "the goal", timeout=120.0)
     assert f"begins at 0.0 of {route.length:.1f} m" in controller.output()
     end = route.segments[0].path.frame(route.length).pose[:2]
     peer.until(lambda: math.dist(way_of(odometry[-1:])[0], end) < 0.2, "odometry of the end")
@@ -75,8 +76,9 @@ def test_turns_on_the_spot_are_driven_as_such(peer, start, name, told, end, head
     controller = start("controller", learning=False, **reversing, **LOCKSTEP)
     start("sim_unicycle", lockstep=True, rate=25.0)
     peer.until_matched(peer.path)
+    peer.until(lambda: odometry, "odometry of the beginning")
     start("path_publisher", path=str(CASES / name))
-    peer.until(lambda: "goal reached" in controller.output(), "the goal")
+    peer.until(lambda: "goal reached" in controller.output(), "the goal", timeout=120.0)
     assert told in controller.output()
 
     def is_there() -> bool:

@@ -166,11 +166,13 @@ sys.exit(process.main())
     [("Commands", "activated", "on_activate"), ("Telemetry", "deliver_status", "on_deactivate")],
 )
 def test_a_transition_that_fails_stops_the_robot_and_ends_the_node(
-    peer, domain, tmp_path, owner, name, transition
+    peer, domain, node_server, tmp_path, owner, name, transition
 ):
     commands = peer.listen(TwistStamped, "cmd_vel")
     log = tmp_path / "defective.log"
-    with running_script(DEFECTIVE_TRANSITION.format(owner=owner, name=name), domain, log) as node:
+    with running_script(
+        node_server, DEFECTIVE_TRANSITION.format(owner=owner, name=name), domain, log
+    ) as node:
         if transition == "on_deactivate":
             peer.until_matched(peer.odometry, peer.path)
             peer.send_path()

@@ -286,10 +286,10 @@ sys.exit(controller_process.main())
 """
 
 
-def test_an_exception_in_a_callback_stops_the_robot_first(peer, domain, tmp_path):
+def test_an_exception_in_a_callback_stops_the_robot_first(peer, domain, node_server, tmp_path):
     commands = peer.listen(TwistStamped, "cmd_vel")
     log = tmp_path / "broken.log"
-    with running_script(BROKEN_CONTROLLER, domain, log) as process:
+    with running_script(node_server, BROKEN_CONTROLLER, domain, log) as process:
         peer.until_matched(peer.odometry, peer.path)
         peer.send_path()
         peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))

@@ -76,11 +76,11 @@ def team(peer, start) -> Team:
 
 
 def test_the_robot_drives_on_and_can_be_stopped_when_those_who_listen_stall_or_die(
-    team, start, domain, tmp_path
+    team, start, domain, node_server, tmp_path
 ):
     recorder = start("recorder", output=str(tmp_path / "bag"))
     log = tmp_path / "listener.log"
-    with running_script(LISTENER, domain, log) as listener:
+    with running_script(node_server, LISTENER, domain, log) as listener:
         recorded = "recording /path_follower/measured_pose"
         team.peer.until(lambda: recorded in recorder.output(), recorded)
         team.peer.until(lambda: "heard" in log.read_text(), "the listener")

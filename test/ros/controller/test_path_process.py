@@ -181,9 +181,11 @@ sys.exit(controller_process.main())
 
 
 @pytest.mark.nodes
-def test_a_path_that_is_ready_when_the_node_is_gone_is_no_error(peer, domain, tmp_path):
+def test_a_path_that_is_ready_when_the_node_is_gone_is_no_error(
+    peer, domain, node_server, tmp_path
+):
     log = tmp_path / "controller.log"
-    with running_script(ENDING_BEFORE_ITS_PATH, domain, log) as process:
+    with running_script(node_server, ENDING_BEFORE_ITS_PATH, domain, log) as process:
         peer.send_path()
         peer.until(lambda: "asked for a route" in log.read_text(), "a path on its way")
         process.send_signal(signal.SIGINT)
@@ -268,9 +270,11 @@ sys.exit(controller_process.main())
 
 
 @pytest.mark.nodes
-def test_a_path_that_a_stopped_process_does_not_prepare_is_refused(peer, domain, tmp_path):
+def test_a_path_that_a_stopped_process_does_not_prepare_is_refused(
+    peer, domain, node_server, tmp_path
+):
     log = tmp_path / "controller.log"
-    with running_script(LITTLE_PATIENCE, domain, log) as process:
+    with running_script(node_server, LITTLE_PATIENCE, domain, log) as process:
         drive = Drive(peer, lambda executable: process)
         (fitting,) = children(process.pid)
         os.kill(fitting, signal.SIGSTOP)

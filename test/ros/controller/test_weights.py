@@ -132,11 +132,11 @@ class SlowDisk:
 
 
 @pytest.fixture
-def slow_disk(peer, domain, tmp_path):
+def slow_disk(peer, domain, node_server, tmp_path):
     gate, log = tmp_path / "gate", tmp_path / "controller.log"
     os.mkfifo(gate)
     text = SLOW_DISK.format(gate=str(gate), file=tmp_path / "weights.npz")
-    with running_script(text, domain, log) as process:
+    with running_script(node_server, text, domain, log) as process:
         yield SlowDisk(peer, process, log, gate)
         process.terminate()
         assert process.wait(30.0) == 0

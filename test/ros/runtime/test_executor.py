@@ -216,11 +216,13 @@ controller()
 
 @pytest.mark.parametrize("name", ["_guard", "_tasks"])
 def test_with_other_internals_of_rclpy_the_node_drives_by_the_executor_of_rclpy(
-    domain, peer, tmp_path, name
+    domain, node_server, peer, tmp_path, name
 ):
     commands = peer.listen(TwistStamped, "cmd_vel")
     log = tmp_path / "log"
-    with running_script(OTHER_INTERNALS.replace("{name}", name), domain, log) as process:
+    with running_script(
+        node_server, OTHER_INTERNALS.replace("{name}", name), domain, log
+    ) as process:
         peer.until_matched(peer.odometry, peer.path)
         peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
         peer.send_path()

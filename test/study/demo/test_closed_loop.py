@@ -31,10 +31,11 @@ from adp_path_follower.ros.recorder.node import RUN_TOPICS
 from adp_path_follower.study.demo.closed_loop import run_closed_loop
 from adp_path_follower.study.replay.replay import replay
 from adp_path_follower.study.simulation.simulate import PAPER_START, simulate
+from commands import adp
 
 pytestmark = pytest.mark.nodes
 
-DURATION = 10.0  # [s] simulated
+DURATION = 5.0  # [s] simulated
 
 
 @pytest.fixture(scope="module")
@@ -224,15 +225,18 @@ def _demo(folder: FilePath, *arguments: str, **environment: str) -> FilePath:
     return directory
 
 
-@pytest.mark.smoke
 def test_the_command_ends_at_the_goal(tmp_path):
     (tmp_path / "short.csv").write_text("x,y\n0,0\n1,0.1\n2,0\n")
-    content = json.loads((_demo(tmp_path, "--path", "short.csv") / "summary.json").read_text())
+    done = adp("demo", "--path", "short.csv", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (directory,) = tmp_path.glob("adp_demo_*")
+    content = json.loads((directory / "summary.json").read_text())
     # 2 m at 0.5 m/s, and 0.5 m that the robot starts behind.
     assert 3.5 < content["duration"] < 8.0
     assert content["commands"] == content["identical_commands"] > 300
 
 
+@pytest.mark.smoke
 def test_the_command_replays_whatever_threads_the_user_allows(tmp_path):
     """More BLAS threads would change the last bits: the executables decide for themselves."""
     directory = _demo(tmp_path, "--duration", "3", OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
