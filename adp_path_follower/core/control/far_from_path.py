@@ -68,6 +68,7 @@ _GRID_ENDS = np.array([11.0, 14.0])
 # [rad] from facing backwards, within which the slope by theta is taken over as much to both sides:
 # the heading of the half-angle form has a kink there, in whose notch robots would stay for ever.
 _NOTCH = 0.25
+_FASTEST = 1e3  # [m/s] where there is no limit
 _GRID_LEVELS = 0.7  # of `wide_region_levels`: the grid is exact where the learned policy is not yet
 
 
@@ -145,6 +146,8 @@ class WideRegion:
             self._half_widths[:2] *= min(1.0, scale)
         self._widths: list[float] = self._half_widths.tolist()
         self._limits = settings.limits
+        self._state_cost = settings.cost.state_cost_matrix()
+        self._target_gain = settings.target.target_gain
         self._riccati = riccati
         self._input_cost_inverse = settings.cost.inverse_input_cost()
         self._is_own = settings.policy.wide_region not in WIDE_REGIONS
@@ -177,7 +180,8 @@ class WideRegion:
             far = self._far.modified_input(zeta, curvature, feedforward)
             far = saturate(np.asarray(far), feedforward, self._limits) if self._is_own else far
         if (beyond > 0.0).any():
-            wanted = self._approach(zeta, self._riccati.matrix(curvature, feedforward[..., 0]))
+            v_des = feedforward[..., 0]
+            wanted = self._approach(zeta, self._riccati.matrix(curvature, v_des), v_des)
             approach = saturate(wanted, feedforward, self._limits)
             far = far + beyond * (approach - far)
         return np.asarray((1.0 - share) * learned + share * far)
@@ -207,7 +211,7 @@ class WideRegion:
             for value, width in zip(error.tolist(), self._widths, strict=False)
         )
 
-    def _approach(self, zeta: FloatArray, matrix: FloatArray) -> FloatArray:
+    def _approach(self, zeta: FloatArray, matrix: FloatArray, v_des: FloatArray) -> FloatArray:
         """Return the Riccati law whose lateral part saturates into an approach angle, (..., 2).
 
         Its steering, -(P_yθ y + P_θθ θ) / R near the path, steers towards the heading
@@ -217,10 +221,27 @@ class WideRegion:
         """
         s, y, theta = (zeta[..., axis] for axis in range(3))
         slope = matrix[..., 1, 2] / matrix[..., 2, 2]
-        widest = self._policy.approach_angle
+        widest = self._widest_angle(s, y, matrix, v_des)
         off_course = wrap_angle(theta + widest * np.tanh(slope * y / widest))
         ahead, aside = matrix[..., 0, 0] * s, matrix[..., 1, 1] * y
         pull = components(
             ahead * np.cos(theta) + aside * np.sin(theta), matrix[..., 2, 2] * off_course
         )
         return np.asarray(-pull @ self._input_cost_inverse)
+
+    def _widest_angle(
+        self, s: FloatArray, y: FloatArray, matrix: FloatArray, v_des: FloatArray
+    ) -> FloatArray:
+        """Return the largest angle to the path [rad] that pays, shape (...).
+
+        It is smaller where the robot is far behind its target, which it gains on only by driving
+        along the path. There V_s is about Q_ss s^2 by the speed at which s shrinks, and V_y about
+        P_yy y or, far aside, Q_yy y^2 by the robot's speed.
+        """
+        state_cost, behind = self._state_cost, np.minimum(s, 0.0)
+        in_hand = np.maximum(min(float(self._limits.upper[0]), _FASTEST) - v_des, 0.0)
+        shrinks = np.maximum(in_hand - self._target_gain * behind, 1e-9)
+        ahead = state_cost[0, 0] * behind**2 * in_hand / shrinks
+        aside = state_cost[1, 1] * y**2 + matrix[..., 1, 1] * np.abs(y) * v_des
+        pays = np.maximum(np.arctan2(aside, ahead), 1e-6)
+        return np.asarray(np.minimum(pays, self._policy.approach_angle))

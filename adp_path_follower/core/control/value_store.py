@@ -59,6 +59,7 @@ def stored(problem: ValueProblem) -> ValueGrid | None:
     if problem not in _found:
         with contextlib.suppress(OSError):
             keep(problem, _file(problem).read_bytes())
+            _file(problem).touch()  # the one that was not used for longest goes first
     return _found.get(problem)
 
 

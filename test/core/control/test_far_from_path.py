@@ -225,3 +225,15 @@ def test_a_robot_that_can_reverse_does_not_drive_away(name, slowest):
     assert not result.failed.any()
     assert np.isfinite(result.settling_time).all()
     assert np.linalg.norm(result.final_error, axis=1).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("start", "optimal_cost"),  # by bench/endurance/region.py far
+    [
+        ((-27.309709, 4.295834, -2.222706), 3007.74),  # far behind its target
+        ((2.063654, 26.681417, -1.061869), 6435.19),  # far aside
+    ],
+)
+def test_from_far_away_the_approach_costs_little_more_than_the_optimum(start, optimal_cost):
+    result = simulate(build(Settings, {}), LINE, start, duration=150.0, rate=20.0, learning="warm")
+    assert 0.999 < float(result.cost[0]) / optimal_cost < 1.02
