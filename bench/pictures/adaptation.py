@@ -61,7 +61,7 @@ def main() -> None:
         axes.set_xticks([0.01, 0.1, 1.0], ["0", "0.1", "1"])
         axes.set_xlabel("time of learning after the change, before the start [s]")
         axes.set_ylabel("loss J/J* − 1, mean of 12 starts")
-        axes.set_title("After a change the policy is near-optimal again in a fraction of a second")
+        axes.set_title("After a change the policy is near-optimal again within a second")
         axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
         figure.savefig(file, bbox_inches="tight")
 

@@ -63,7 +63,7 @@ def disturbed(driver, random, time):
     kind = random.integers(0, 3)
     if kind == 2:
         limit = float(random.choice([0.1, 0.3, math.inf]))
-        driver.change_settings(driver.settings.with_changes(speed_limit=limit))
+        driver.take_over(driver.prepared(driver.settings.with_changes(speed_limit=limit)))
         return time
     driver.stopped()
     if kind == 1:
