@@ -112,6 +112,7 @@
       layout: {
         paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: style("--text") },
         hoverlabel: { bgcolor: style("--raised") }, xaxis: axis, yaxis: axis,
+        modebar: { bgcolor: style("--raised"), color: style("--quiet"), activecolor: style("--text") },
       },
     };
   };
