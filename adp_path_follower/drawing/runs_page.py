@@ -31,7 +31,7 @@ def write_runs_page(
         ),
         ("distance", "Distance from the path", "Positive to the left of the path."),
         ("cost", "Cost so far", "∫ eᵀQe + uᵀRu from the start: the lowest curve is the best."),
-        ("commands", "Commands", "Each holds until the next; the dashed lines are the limits."),
+        ("commands", "Commands", "Each holds until the next; dashed lines are limits."),
     )
     write_page(
         file,

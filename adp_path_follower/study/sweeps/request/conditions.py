@@ -16,7 +16,7 @@ from adp_path_follower.core.path.library import is_path_file, named_path, path_t
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, setting, update
-from adp_path_follower.resources import FORTY_STARTS
+from adp_path_follower.resources import FORTY_STARTS, parameter_file
 from adp_path_follower.study.simulation.simulate import (
     HIGHEST_RATE,
     LEARNING_MODES,
@@ -183,9 +183,11 @@ def read_conditions(
 
 
 def _base_settings(entries: Mapping[str, object], folder: FilePath) -> Settings:
-    """Return the settings of `params` with the changes of `set`."""
+    """Return the settings of `params`, a file or a shipped name, with the changes of `set`."""
     params = entries.get("params")
     file = None if params is None else _file("params", params, folder)
+    if file is not None and not file.suffix and not file.is_file():
+        file = parameter_file(str(params))
     return update(load_settings(Settings, "path_follower", file), section(entries, "set"))
 
 

@@ -17,6 +17,7 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
+from adp_path_follower.resources import config_file
 from adp_path_follower.study.simulation.simulate import read_starts
 from adp_path_follower.study.sweeps.request.conditions import PathSource, optimal_costs
 from adp_path_follower.study.sweeps.request.ranges import Range
@@ -137,6 +138,14 @@ def test_what_the_results_depend_on_changes_the_digest(tmp_path):
     assert sweep_of(tmp_path, text + "objectives: [cross_track]\n").digest == digests[-1]
 
 
+def test_shipped_parameters_have_names_as_for_the_commands(tmp_path):
+    named = sweep_of(tmp_path, "params: paper\n")
+    (tmp_path / "paper").mkdir()  # is no file
+    assert sweep_of(tmp_path, "params: paper\n").digest == named.digest
+    assert sweep_of(tmp_path, f"params: {config_file('paper.yaml')}\n").digest == named.digest
+    assert sweep_of(tmp_path, "params: default\n").digest != named.digest
+
+
 def test_the_optimum_is_that_of_the_reference_and_known_only_there(tmp_path):
     reference = json.loads((ROOT / "test" / "data" / "optimum.json").read_text())["forty_starts"]
     assert read_starts().tolist() == reference["e0"]
@@ -222,6 +231,7 @@ BAD = {
     "set: {actor_gain: -1.0}": "setting 'actor_gain' is -1.0",
     "set: {actor_gian: 1.0}": "unknown setting 'actor_gian'",
     "params: nowhere.yaml": "nowhere.yaml cannot be read",
+    "params: papr": "unknown parameters 'papr'; did you mean 'paper'?",
     "params: 3": "'params' is 3, but must be a file name",
     "starts: fourty": "'starts' must be 'forty'",
     "starts: []": "'starts' must be 'forty'",
