@@ -215,6 +215,9 @@ def test_messages_that_are_cut_are_not_played(tmp_path):
     assert [(time, key) for time, key, _ in messages] == [
         *((2, "path"), (2, "odom"), (3, "odom"), (5, "odom")),
     ]
+    # A recorder that found the path late: it cannot have come after the first command to move.
+    messages, _ = recorded_messages(tmp_path / "bag", names, begun=1)
+    assert messages[0][1] == "path"
     with pytest.raises(AdpError, match="no odometry on /path that can be decoded"):
         recorded_messages(tmp_path / "bag", {"odom": "/path", "path": "/odom"})
 

@@ -165,8 +165,12 @@ def _republish(bag: FilePath, run: Run, rate: float) -> None:
     for key in ("odom", "path"):
         if key not in run.topics:
             raise AdpError(f"bag {bag} has no topic named '{key}': name one by --{key}")
+    commands = run.series.get("cmd_vel")
+    begun = None
+    if commands is not None and commands.values.any():
+        begun = int(commands.arrival[commands.values.any(axis=1)][0])
     with progress_bar("playing") as progress:
-        count, damaged = republish(bag, run.topics, rate, progress)
+        count, damaged = republish(bag, run.topics, begun, rate, progress)
     click.echo(f"played {count} messages")
     if damaged:
         click.echo(f"adp: {damaged} messages cannot be decoded: passed over", err=True)

@@ -34,17 +34,18 @@ _TYPES = {"odom": Odometry, "path": PathMessage}
 def republish(
     bag: FilePath,
     topics: Mapping[str, str],
+    begun: int | None,
     rate: float,
     progress: Callable[[float], None],
 ) -> tuple[int, int]:
     """Publish /clock, odometry and path as they were recorded, by the odometry's stamps.
 
     `topics` maps "odom" and "path" to their topics in the bag; they are published under these
-    names, `rate` seconds of the bag in one second. Returns the numbers of messages that were
-    published, and that cannot be decoded. Raises AdpError if no controller listens, or no odometry
-    can be decoded.
+    names, `rate` seconds of the bag in one second. `begun` is the arrival [ns] of the first command
+    to move, None without. Returns the numbers of messages that were published, and that cannot be
+    decoded. Raises AdpError if no controller listens, or no odometry can be decoded.
     """
-    messages, damaged = recorded_messages(bag, topics)
+    messages, damaged = recorded_messages(bag, topics, begun)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("adp_replay")
     try:
@@ -139,13 +140,14 @@ class _Player:
 
 
 def recorded_messages(
-    bag: FilePath, topics: Mapping[str, str]
+    bag: FilePath, topics: Mapping[str, str], begun: int | None = None
 ) -> tuple[list[tuple[int, str, Any]], int]:
     """Return the odometry and the paths of a bag in the order to publish them in.
 
     `topics` gives the topics of "odom" and "path". Returns time [ns], key and message of each, by
-    the clock of the odometry (a path comes at the latest with the odometry), and the number of
-    messages that cannot be decoded. Raises AdpError if no odometry can be decoded.
+    the clock of the odometry, and the number of messages that cannot be decoded. A path comes at
+    the latest with the odometry, the first one before the first command to move, which arrived at
+    `begun` [ns]. Raises AdpError if no odometry can be decoded.
     """
     found, damaged = _decoded(bag, {topics[key]: key for key in _TYPES})
     odometry = [(arrival, message) for arrival, key, message in found if key == "odom"]
@@ -159,6 +161,10 @@ def recorded_messages(
             timed.append((stamp_nanoseconds(message.header), key, message))
         else:
             place = min(int(np.searchsorted(arrivals, arrival)), len(stamps) - 1)
+            # A recorder may find the topic of a path that is kept long after the controller did.
+            if begun is not None:
+                place = min(place, max(int(np.searchsorted(arrivals, begun)) - 1, 0))
+                begun = None
             timed.append((stamps[place], key, message))
     # At the same time the path first, as commands to the odometry depend on it.
     return sorted(timed, key=lambda item: (item[0], item[1] == "odom")), damaged
