@@ -186,6 +186,16 @@ def figures(messages) -> dict[str, float]:
         return dict(analyse_bag(write_bag(FilePath(folder) / "bag", messages), {}, 1, None).metrics)
 
 
+def check_figures(found, truth, noise):
+    """Compare time, ways and distance from the path with the simulator's."""
+    slack = 0.001 + 6.0 * noise  # of the ends of a noisy drive
+    assert found["duration"] == pytest.approx(truth.time[-1], abs=1e-6)
+    assert found["distance"] == pytest.approx(truth.distance, rel=0.01, abs=slack)
+    assert found["path_covered"] == pytest.approx(truth.covered, rel=0.01, abs=slack)
+    rms = math.sqrt(float(np.mean(truth.cross_track**2)) + noise**2)
+    assert found["cross_track_rms"] == pytest.approx(rms, rel=0.01, abs=0.001)
+
+
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(
     route=st.sampled_from(sorted(ROUTES)),
@@ -200,12 +210,7 @@ def test_figures_are_those_of_the_simulation(route, speed, rate, swing, noise, b
     points = ROUTES[route]
     truth = simulated(points, speed, rate, swing, backwards)
     found = figures(bag_of(truth, points, noise, 0.0, seed))
-    slack = 0.001 + 6.0 * noise  # of the ends of a noisy drive
-    assert found["duration"] == pytest.approx(truth.time[-1], abs=1e-6)
-    assert found["distance"] == pytest.approx(truth.distance, rel=0.01, abs=slack)
-    assert found["path_covered"] == pytest.approx(truth.covered, rel=0.01, abs=slack)
-    rms = math.sqrt(float(np.mean(truth.cross_track**2)) + noise**2)
-    assert found["cross_track_rms"] == pytest.approx(rms, rel=0.01, abs=0.001)
+    check_figures(found, truth, noise)
     assert found["cross_track_max"] == pytest.approx(
         float(truth.cross_track.max()), rel=0.01, abs=0.001 + 5.0 * noise
     )
@@ -228,12 +233,7 @@ def test_figures_of_a_robot_that_reverses(route, speed, rate, swing, noise, orie
     points = np.concatenate([part for part, _ in parts])
     points[:, 2] *= oriented
     found = figures(bag_of(truth, points, noise, 0.0, seed))
-    slack = 0.001 + 6.0 * noise
-    assert found["duration"] == pytest.approx(truth.time[-1], abs=1e-6)
-    assert found["distance"] == pytest.approx(truth.distance, rel=0.01, abs=slack)
-    assert found["path_covered"] == pytest.approx(truth.covered, rel=0.01, abs=slack)
-    rms = math.sqrt(float(np.mean(truth.cross_track**2)) + noise**2)
-    assert found["cross_track_rms"] == pytest.approx(rms, rel=0.01, abs=0.001)
+    check_figures(found, truth, noise)
     assert found["heading_max"] < 0.2
 
 

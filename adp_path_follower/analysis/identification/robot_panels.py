@@ -1,5 +1,7 @@
 """The robot's model over the course of a recorded run, and what it explains."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from adp_path_follower.analysis.identification.recording import Recording
@@ -28,27 +30,15 @@ def robot_panels(drive: Drive, buckets: int) -> dict[str, tuple[Panel, ...]]:
     if told.values.shape[1] != len(told.labels):
         return {}
     columns = dict(zip(told.labels, told.values.T, strict=True))
-
-    def edges(name: str) -> list[FloatArray]:
-        """Return two deviations below and above; nothing if driving did not narrow them."""
-        spread = columns.get(f"deviation of {name}", np.zeros(len(told.time)))
-        narrowed = bool((spread < spread[0]).any())
-        return [columns[name] + sign * 2.0 * spread for sign in (-1.0, 1.0)] if narrowed else []
+    edges = {name: _edges(columns, name) for name in names}
 
     def lines(name: str) -> list[Line]:
-        around = [line_of(name, told.time, edge, buckets, background=True) for edge in edges(name)]
+        around = [line_of(name, told.time, edge, buckets, background=True) for edge in edges[name]]
         return [*around, line_of(name.partition(" [")[0], told.time, columns[name], buckets)]
 
     def span(shown: tuple[str, ...], least: float) -> tuple[float, float] | None:
-        """Return the axis of the values and their last deviations: the first may be huge."""
-        values = np.concatenate(
-            [part for name in shown for part in (columns[name], *(e[-1:] for e in edges(name)))]
-        )
-        if not np.isfinite(values).all():
-            return None
-        middle = 0.5 * float(values.min() + values.max())
-        half = max(_ROOM * (float(values.max()) - middle), least)
-        return middle - half, middle + half
+        parts = [part for name in shown for part in (columns[name], *(e[-1:] for e in edges[name]))]
+        return _span(np.concatenate(parts), least)
 
     last = {name: float(values[-1]) for name, values in columns.items()}
     model = RobotModel(
@@ -85,3 +75,19 @@ def robot_panels(drive: Drive, buckets: int) -> dict[str, tuple[Panel, ...]]:
             for part, label in enumerate(("v [m/s]", "ω [rad/s]"))
         )
     return found
+
+
+def _edges(columns: Mapping[str, FloatArray], name: str) -> list[FloatArray]:
+    """Return two deviations below and above a number; nothing if driving did not narrow them."""
+    spread = columns.get(f"deviation of {name}", np.zeros(len(columns[name])))
+    narrowed = bool((spread < spread[0]).any())
+    return [columns[name] + sign * 2.0 * spread for sign in (-1.0, 1.0)] if narrowed else []
+
+
+def _span(values: FloatArray, least: float) -> tuple[float, float] | None:
+    """Return the axis of values with their last deviations, for the first ones may be huge."""
+    if not np.isfinite(values).all():
+        return None
+    middle = 0.5 * float(values.min() + values.max())
+    half = max(_ROOM * (float(values.max()) - middle), least)
+    return middle - half, middle + half

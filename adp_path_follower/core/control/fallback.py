@@ -5,8 +5,8 @@ error delta and the running cost r. While delta <= c r with c < 1, V falls at le
 that a V that is not negative bounds the cost to come by V / (1 - c) (relaxed dynamic programming).
 Where that does not hold, or V is much smaller than the Riccati solution's value, the learned policy
 is doubtful, and the Riccati policy drives. But V rises also where a limit binds, or the speed along
-the path falls faster than V can know: as no fault of the learner's, as long as the Riccati policy
-would drive much the same.
+the path falls faster than V can know. That is no fault of the learner's, and no doubt, where the
+Riccati policy would drive much the same.
 """
 
 import math
@@ -20,7 +20,9 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray, Number, clamped, where
 from adp_path_follower.core.settings.groups import Settings
 
-_MOST_ERROR = 0.5  # of the running cost: the Bellman error of a policy that is trusted
+# Shares of the running cost: the Bellman error of a policy that is trusted, and what an input costs
+# more than the Riccati policy's where it is much the same.
+_MOST_ERROR = _MUCH_THE_SAME = 0.5
 # A smaller share of the Riccati solution's value, which knows no bend ahead, is doubtful.
 _LEAST_VALUE = 0.1
 _NOTHING = 0.005  # [m], [rad]: smaller errors do not matter, and approximations decide their cost
@@ -125,7 +127,7 @@ class Fallback:
             safe = self._policy.modified_input(zeta, curvature, feedforward)
             apart = learned - safe  # costs at least (apart)^T R (apart), by the Riccati value
             lost = (apart @ self._input_cost * apart).sum(axis=-1)
-            doubtful &= lost > _MOST_ERROR * running_cost + self._nothing
+            doubtful &= lost > _MUCH_THE_SAME * running_cost + self._nothing
         return self._distrust.share(doubtful, dt)
 
     def blend(

@@ -63,7 +63,8 @@ def register_far_policy(name: str, factory: Callable[[Settings], FarPolicy]) -> 
     OWN_FAR_POLICIES.register(name, factory)
 
 
-# [m] between which the approach takes over: the nodes are too rare there. Less below 0.5 m/s.
+# [m] between which the approach takes over: the nodes are too rare there. Less below 0.5 m/s, and
+# more above 2 m/s, by the root of `ValueProblem.length_scale`.
 _GRID_ENDS = np.array([11.0, 14.0])
 # [rad] from facing backwards, within which the slope by theta is taken over as much to both sides:
 # the heading of the half-angle form has a kink there, in whose notch robots would stay for ever.
