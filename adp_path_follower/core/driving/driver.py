@@ -205,6 +205,7 @@ class Driver:
 
     def stopped(self) -> bool:
         """Note a stop of the robot; return whether it had another command before."""
+        self.learn()  # first, lest the step before is learned from as one of a robot at rest
         if self._actuation.stopped:
             return False
         self._actuation.stop()
@@ -376,6 +377,7 @@ class Driver:
         if self._learned is not None:
             follower.take_over(self._learned)
         self.follower, self._learned, self.output = follower, None, None
+        self._to_learn = False
         if segment.turn_first and arc_length <= NOISE:
             begin = segment.heading_of_path(segment.path.frame(0.0).pose)
             self._turn = Turn(float(begin[2]), segment.turn, self._pose)

@@ -279,13 +279,15 @@ class PathFollowerNode(Ending, LifecycleNode):
         except SettingsError as error:
             self._refuse_command(str(error))
             return
-        problem = self._command_problem(output)
-        if problem:
-            self._refuse_command(problem)
+        if not all(map(math.isfinite, output.command.tolist())):
+            self._refuse_command(self._unlearn())
             return
         self._last_command, self._step_time = output.command, time
+        too_late = parts.commands.take_lateness()
         too_far = deviation(output.error, self.settings.controller)
-        if too_far:
+        if too_late:
+            self._refuse_command(too_late)
+        elif too_far:
             self._supervisor.deviation = too_far
             self._update_status()
         else:
@@ -296,13 +298,11 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._supervisor.command_problem = problem
         self._update_status()
 
-    def _command_problem(self, output: FollowerOutput) -> str:
-        """Return why a command must not be sent, empty if it may."""
-        if not all(map(math.isfinite, output.command.tolist())):
-            self._driver.reset_learning()
-            self._publish_configuration()
-            return "the learner's command is not finite; learning was reset"
-        return self._configured.commands.take_lateness()
+    def _unlearn(self) -> str:
+        """Reset learning; return why."""
+        self._driver.reset_learning()
+        self._publish_configuration()
+        return "the learner's command is not finite; learning was reset"
 
     def _tell(
         self, time: int, frame: str, measured: tuple[FloatArray, FloatArray], output: FollowerOutput

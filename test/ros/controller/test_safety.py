@@ -19,8 +19,10 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.settings.groups import ControllerSettings
 from adp_path_follower.ros.controller.commands import Commands
+from adp_path_follower.study.replay.replay import replay
 from live_nodes import Drive, Peer, ends_with_stop, is_zero, running_script
 
 pytestmark = pytest.mark.nodes
@@ -187,14 +189,16 @@ sys.exit(process.main())
     ("owner", "name"),
     [("PathFollower", "step_at"), ("PathFrame", "odometry_in"), ("Telemetry", "step")],
 )
-def test_a_node_that_hangs_does_not_keep_the_robot_going(
-    peer, domain, node_server, tmp_path, owner, name
+def test_a_node_that_hangs_does_not_keep_the_robot_going_and_replays(
+    peer, start, domain, node_server, tmp_path, owner, name
 ):
     commands = peer.listen(TwistStamped, "cmd_vel")
     gate, log = tmp_path / "gate", tmp_path / "hanging.log"
     text = HANGING_CONTROLLER.format(owner=owner, name=name, gate=str(gate))
+    recorder = start("recorder", output=str(tmp_path / "bag"))
     with running_script(node_server, text, domain, log):
         peer.until_matched(peer.odometry, peer.path)
+        peer.until_recorded()
         peer.send_path()
         peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
         peer.until(lambda: commands and not is_zero(commands[-1]), "motion")
@@ -205,7 +209,10 @@ def test_a_node_that_hangs_does_not_keep_the_robot_going(
             gate.unlink()  # and it goes on
         peer.until(lambda: "fault: no" in log.read_text(), "its end")
         commands.clear()
-        peer.until(lambda: commands and not is_zero(commands[-1]), "motion again")
+        peer.until(lambda: len(commands) > 20 and not is_zero(commands[-1]), "motion again")
+    recorder.stop()
+    again = replay(read_run(tmp_path / "bag"))  # the step of a command that came too late, too
+    assert again.identical[again.answered].all()
 
 
 def test_a_stop_is_said_ten_times_however_long_that_was_kept_waiting(peer):
