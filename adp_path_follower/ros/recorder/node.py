@@ -86,6 +86,7 @@ class RecorderNode(Ending, Node):
         try:
             writer.close()
         except OSError as error:
+            self.failed = True
             self.get_logger().error(
                 f"bag {writer.directory} not closed: {error.strerror}; `adp recover` reads what "
                 "was written"
@@ -168,6 +169,7 @@ class RecorderNode(Ending, Node):
         """Stop recording, close the bag, and log it once; the node goes on."""
         writer, self._writer = self._writer, None
         assert writer is not None
+        self.failed = True  # as its exit code says at the end
         self._cause = error.strerror or str(error)
         for timer in self._recording_timers:
             timer.cancel()

@@ -46,10 +46,10 @@ def run_node(name: str, make_node: Callable[[], Node]) -> int:
         node = _made(make_node)
         try:
             _spin(node, stop)
-            code = int(node.failed)
         finally:
             if rclpy.ok():
                 node.last_words()  # before anything else that takes time, as logging does
+        code = int(node.failed)
         if stop.orphaned:
             get_logger(name).warning(
                 "the process that started this node has ended, and so does the node: start it with "
