@@ -26,6 +26,7 @@ from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 
 sys.path.insert(0, str(FilePath(__file__).resolve().parents[2] / "test" / "support"))
@@ -33,6 +34,7 @@ sys.path.insert(0, str(FilePath(__file__).resolve().parents[2] / "test" / "suppo
 # The tests' nodes and a peer on their domain.
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
+from matplotlib.figure import Figure
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.srv import SetParametersAtomically
@@ -44,6 +46,7 @@ from visualization_msgs.msg import MarkerArray
 
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 from adp_path_follower.ros.runtime.conversions import poses_message
 from adp_path_follower.study.demo.closed_loop import NodeProcess, own_domain
 from live_nodes import Peer, is_zero  # after the path
@@ -299,19 +302,18 @@ class Hour:
 
 def draw(hour: Hour, file: FilePath) -> None:
     """Draw memory over time."""
-    import matplotlib.pyplot as plt
-
     times, memory = np.array(hour.memory).T
-    figure, axes = plt.subplots(figsize=(7.0, 3.0), layout="constrained")
-    axes.plot(times / 60.0, memory, lw=1.0)
-    axes.axvline(WARM_UP, color="0.6", lw=0.8)
-    axes.set(
-        xlabel="simulated time [min]",
-        ylabel="memory of the controller [MB]",
-        ylim=(0, 1.1 * memory.max()),
-    )
-    figure.savefig(file, dpi=120)
-    plt.close(figure)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+        axes = figure.subplots()
+        axes.plot(times / 60.0, memory, lw=1.0, color=COLORS[0])
+        axes.axvline(WARM_UP, color="0.6", lw=0.8)
+        axes.set(
+            xlabel="simulated time [min]",
+            ylabel="memory of the controller [MB]",
+            ylim=(0, 1.1 * memory.max()),
+        )
+        figure.savefig(file)
 
 
 def summary(hour: Hour, minutes: float, wall: float) -> dict[str, Any]:

@@ -10,13 +10,12 @@ from pathlib import Path as FilePath
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 
 from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.path.preparation import prepare
 from adp_path_follower.core.settings.groups import PathSettings
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 
 _FILE = FilePath(__file__).parents[2] / "docs" / "images" / "paths.png"
 
@@ -39,18 +38,21 @@ def cases() -> dict[str, np.ndarray]:
 
 def main() -> None:
     """Draw the figure."""
-    figure, axes = plt.subplots(1, 4, figsize=(14, 3.6), constrained_layout=True)
-    for axis, (title, poses) in zip(axes, cases().items(), strict=True):
-        axis.plot(*poses.T, "o-", color="0.7", markersize=3, linewidth=1.0)
-        for segment in prepare(poses, PathSettings(allow_reversing=True)).segments:
-            places = segment.path.points(0.005)[:, :2]
-            axis.plot(*places.T, color="tab:orange" if segment.reverse else "tab:blue")
-        axis.set_title(title, fontsize=9)
-        axis.set_aspect("equal")
-        axis.set_xlabel("x [m]")
-    axes[0].set_xlim(2.5, 3.1)
-    axes[0].set_ylim(-0.1, 0.5)
-    figure.savefig(_FILE, dpi=90)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+        all_axes = figure.subplots(2, 2).ravel()
+        for axes, (title, poses) in zip(all_axes, cases().items(), strict=True):
+            axes.plot(*poses.T, "o-", color="0.7", markersize=3, linewidth=1.0)
+            for segment in prepare(poses, PathSettings(allow_reversing=True)).segments:
+                places = segment.path.points(0.005)[:, :2]
+                axes.plot(*places.T, color=COLORS[1 if segment.reverse else 0])
+            axes.set_title(title)
+            axes.set_aspect("equal")
+            axes.set_xlabel("x [m]")
+            axes.set_ylabel("y [m]")
+        all_axes[0].set(xlim=(2.5, 3.1), ylim=(-0.1, 0.5))
+        all_axes[1].set(xlim=(2.75, 3.25), ylim=(8.1, 8.6))
+        figure.savefig(_FILE, dpi=90)
 
 
 if __name__ == "__main__":

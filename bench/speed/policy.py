@@ -14,6 +14,7 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path as FilePath
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.linalg.lapack import dpotrf, dpotrs
@@ -29,6 +30,7 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.learning import LearningSettings
 from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.drawing.figure_style import COLORS, STYLE
 from adp_path_follower.study.comparison.peers.nmpc import Nmpc
 
 _WEIGHTS, _SAMPLES = (9, 24, 48, 104), (81, 400, 1000, 3000)
@@ -132,19 +134,20 @@ def steps_by_size(figure: FilePath | None) -> list[Row]:
 
 def draw(found: dict[tuple[int, int], dict[str, float]], file: FilePath) -> None:
     """Draw how the time grows with samples and weights."""
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for index, weights in enumerate(_WEIGHTS):
-        for name, style in (("step", "-o"), (_FLOOR, ":")):
-            times = [found[weights, samples][name] for samples in _SAMPLES]
-            label = f"{weights} weights" if name == "step" else None
-            axes.loglog(_SAMPLES, times, style, color=f"C{index}", label=label)
-    axes.set(xlabel="samples", ylabel="time of a learning step [µs]", xticks=_SAMPLES)
-    axes.set_xticks(_SAMPLES, [str(samples) for samples in _SAMPLES])
-    axes.set_title("Dotted: the bare products of the same shapes")
-    axes.legend()
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+        axes = figure.subplots()
+        for color, weights in zip(COLORS, _WEIGHTS, strict=False):
+            for name, style in (("step", "-o"), (_FLOOR, ":")):
+                times = [found[weights, samples][name] for samples in _SAMPLES]
+                label = f"{weights} weights" if name == "step" else None
+                axes.loglog(_SAMPLES, times, style, color=color, label=label)
+        axes.set(xlabel="samples", ylabel="time of a learning step [µs]")
+        axes.set_xticks(_SAMPLES, [str(samples) for samples in _SAMPLES])
+        axes.set_title("Dotted: the bare products of the same shapes")
+        axes.legend()
+        file.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(file)
 
 
 class NmpcDrive:
