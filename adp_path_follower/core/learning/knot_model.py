@@ -10,6 +10,7 @@ f is affine in kappa and v_des, so what is prepared once serves every knot of ev
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -153,6 +154,12 @@ class KnotModel:
             offset=float(importance @ (constant * constant)),
             running_cost=float(importance @ (running_cost * running_cost)),
         )
+
+
+@functools.lru_cache(4)
+def knot_model(settings: Settings, spacing: float, varies: bool) -> KnotModel:
+    """Return a `KnotModel`, made once for paths that come one after the other while driving."""
+    return KnotModel(settings, spacing, varies)
 
 
 def _quadratic(

@@ -19,7 +19,7 @@ import numpy as np
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.knot_critic import KnotCritic
-from adp_path_follower.core.learning.knot_model import KnotModel
+from adp_path_follower.core.learning.knot_model import knot_model
 from adp_path_follower.core.learning.knot_weights import KnotWeights
 from adp_path_follower.core.learning.learner import (
     Learner,
@@ -73,7 +73,7 @@ class PathLearner:
         self._bound = actor_bound(learning, riccati)
         self._knots = KnotWeights(settings, path, riccati, self._profile, self._count)
         self._window = self._knots.window
-        self._model = KnotModel(settings, self._knots.spacing, self._profile.varies)
+        self._model = knot_model(settings, self._knots.spacing, self._profile.varies)
         self._critic = KnotCritic(learning, len(self._model), self._knots)
         # The result of a least-squares sweep depends only on where it begins and ends: robots can
         # share it, and need no other one soon. A gradient goes on from its last weights.
