@@ -42,7 +42,7 @@ _ZERO = np.zeros(2)
 
 
 class PathFollowerNode(Ending, LifecycleNode):
-    """Connects messages with `Driver` and `Supervisor`; `settings` and `status` are public."""
+    """Connects messages with `Driver` and `Supervisor`."""
 
     def __init__(self, fit: Fit = route_of_message) -> None:
         """Declare the parameters; `fit` makes routes of paths, in another thread."""
@@ -51,16 +51,16 @@ class PathFollowerNode(Ending, LifecycleNode):
         self.settings = declare_settings(self, Settings)
         LiveSettings(self, self.settings, self._prepare_settings)
         self._values = FarValues(self, lambda: self.settings, self._prepare_settings)
-        self._weights = WeightsFiles(self, self.settings, lambda: self._driver)
+        self._weights = WeightsFiles(self, self.settings, lambda: self.driver)
         self._fit = fit
         self._parts: ControllerParts | None = None
         self._site = Site(
             settings=lambda: self.settings.navigation,
             status=lambda: self.status,
             active=lambda: self._supervisor.active,
-            driver=lambda: self._driver,
-            speed=lambda: self._configured.odometry.speed,
-            hurry=lambda: self._configured.watchdog.hurry(),
+            driver=lambda: self.driver,
+            speed=lambda: self.parts.odometry.speed,
+            hurry=lambda: self.parts.watchdog.hurry(),
         )
         self._supervisor = Supervisor(self.settings.controller.odom_timeout)
         self._forget_run()
@@ -72,7 +72,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         """Return to the state before any message."""
         told, log = start_teller(self.get_logger()), self.get_logger()
         settings = self._values.drivable(self.settings)
-        self._driver = Driver(settings, self._weights.saved, log.warning, tell_start=told)
+        self.driver = Driver(settings, self._weights.saved, log.warning, tell_start=told)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
         self._progress = ProgressCheck()
@@ -84,7 +84,8 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._supervisor = self._supervisor.renewed()
 
     @property
-    def _configured(self) -> ControllerParts:
+    def parts(self) -> ControllerParts:
+        """Return what the node is made of, from `on_configure` to `on_cleanup`."""
         assert self._parts is not None  # whoever asks was created with them
         return self._parts
 
@@ -99,7 +100,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         frame = PathFrame(self, lambda: self.settings.navigation)
         path = PathInput(
             *(self, lambda: self.settings.path, self._follow_path, self._refuse_path),
-            *(lambda: self._configured.action.path_on_topic(), frame, self._fit),
+            *(lambda: self.parts.action.path_on_topic(), frame, self._fit),
         )
         limit = SpeedLimitInput(self, lambda: self.settings, self._answer_speed_limit)
         self._parts = ControllerParts(
@@ -124,7 +125,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     @told_if_it_fails
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Allow commands; zero velocity first."""
-        self._configured.commands.activated()
+        self.parts.commands.activated()
         result = super().on_activate(state)
         self.get_logger().info("active: following as soon as there are odometry and a path")
         self._supervisor.active = True  # when nothing can fail any more
@@ -140,7 +141,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the robot and forget path, odometry and what was learned."""
         self.last_words()
-        self._configured.destroy()
+        self.parts.destroy()
         self._parts = None
         self._forget_run()
         return super().on_cleanup(state)
@@ -177,7 +178,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _take_odometry(self, measurement: Measurement) -> None:
         self._supervisor.odometry_received(steady.monotonic())
-        parts = self._configured
+        parts = self.parts
         parts.commands.frame = measurement.child_frame
         parts.frame.odometry_in(measurement.frame, measurement.child_frame)
         if self.settings.controller.control_trigger == "odometry":
@@ -185,8 +186,8 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _follow_path(self, found: PathAnswer | None) -> None:
         """Follow another path, or nothing any more."""
-        self._driver.follow(None if found is None else found.route)
-        parts = self._configured
+        self.driver.follow(None if found is None else found.route)
+        parts = self.parts
         if found is None or found.route is None:
             self._supervisor.path_removed()
             parts.frame.accept()
@@ -199,9 +200,9 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._publish_configuration()
 
     def _refuse_path(self, found: PathAnswer) -> None:
-        self.get_logger().error(f"path rejected: {self._configured.path.problem}")
+        self.get_logger().error(f"path rejected: {self.parts.path.problem}")
         self._publish_diagnostics()
-        self._configured.action.path_refused(found)
+        self.parts.action.path_refused(found)
 
     def _answer_speed_limit(self, problem: str) -> None:
         """Let the robot stand while the last limit cannot hold: who sent it may want that."""
@@ -210,10 +211,10 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _prepare_settings(self, settings: Settings) -> Callable[[], None]:
         """Return what takes over settings between steps; SettingsError if no policy is found."""
-        change = self._driver.prepared(self._values.drivable(settings))
+        change = self.driver.prepared(self._values.drivable(settings))
 
         def take_over() -> None:
-            self._driver.take_over(change)
+            self.driver.take_over(change)
             self.settings = settings
             self._supervisor.odom_timeout = settings.controller.odom_timeout
             self._publish_configuration()
@@ -221,22 +222,22 @@ class PathFollowerNode(Ending, LifecycleNode):
         return take_over
 
     def _reset_learning(self) -> str:
-        self._driver.reset_learning()
+        self.driver.reset_learning()
         self._publish_configuration()
         return "weights are the initial ones again"
 
     def _stop(self) -> str:
         self._supervisor.stop()
         if self._supervisor.active:
-            self._configured.commands.stop()
+            self.parts.commands.stop()
         self._update_status()
         return "stopped; ~/resume goes on"
 
     def _resume(self) -> str:
         """Go on from where the robot is now: it may have been carried."""
         self._supervisor.resume()
-        self._configured.frame.accept()
-        if self._driver.restart():
+        self.parts.frame.accept()
+        if self.driver.restart():
             self._publish_configuration()
         return self._update_status().state.value
 
@@ -249,14 +250,14 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _control(self, time: int) -> None:
         """Command for a time [ns], then learn: what is learned is for the next command."""
         self._command(time)
-        self._driver.learn()
+        self.driver.learn()
 
     def _command(self, time: int) -> None:
         """Compute and publish the command for a time [ns]."""
-        self._supervisor.transform_problem = self._configured.path.missing_frame()
+        self._supervisor.transform_problem = self.parts.path.missing_frame()
         if self._update_status().state is not State.FOLLOWING:
             return
-        parts, measurement = self._configured, self._configured.odometry.measurement
+        parts, measurement = self.parts, self.parts.odometry.measurement
         assert measurement is not None  # there is no FOLLOWING without odometry,
         assert parts.path.followed is not None  # nor without a path
         frame = parts.path.followed.frame
@@ -275,7 +276,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             return
         pose = parts.frame.located(pose, float(motion[0]), frame)
         try:
-            output = self._driver.command_for(pose, time, motion)
+            output = self.driver.command_for(pose, time, motion)
         except SettingsError as error:
             self._refuse_command(str(error))
             return
@@ -300,7 +301,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _unlearn(self) -> str:
         """Reset learning; return why."""
-        self._driver.reset_learning()
+        self.driver.reset_learning()
         self._publish_configuration()
         return "the learner's command is not finite; learning was reset"
 
@@ -308,14 +309,14 @@ class PathFollowerNode(Ending, LifecycleNode):
         self, time: int, frame: str, measured: tuple[FloatArray, FloatArray], output: FollowerOutput
     ) -> None:
         """Tell what a step at a time [ns], pose and motion (3,) found; see if it is the last."""
-        parts, follower, route = self._configured, self._driver.follower, self._driver.route
+        parts, follower, route = self.parts, self.driver.follower, self.driver.route
         assert follower is not None  # the step has made it
         assert route is not None
         if parts.telemetry.learning(follower.learning_problem):
             self._publish_diagnostics()
         parts.telemetry.step(time, frame, measured, output, float(follower.cost))
         parts.telemetry.markers(time, frame, route, output)
-        if self._driver.at_goal:
+        if self.driver.at_goal:
             self._supervisor.goal_reached = True
             parts.frame.accept()
         elif follower.goal.problem:
@@ -326,7 +327,7 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _watch(self) -> float:
         """Look after the robot, whatever the control timer does; return when to do so again [s]."""
-        parts = self._configured
+        parts = self.parts
         parts.path.retry()
         clock_time = self._now()
         by_timer = self.settings.controller.control_trigger == "timer"
@@ -362,7 +363,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         if self._parts is not None:
             self._parts.watchdog.hurry()
         if self.status.state is State.FOLLOWING and self._supervisor.active:
-            self._configured.commands.stop()
+            self.parts.commands.stop()
             self._note_stop()
         if status.state is not self.status.state:
             self._shown_since = self._now()
@@ -371,7 +372,7 @@ class PathFollowerNode(Ending, LifecycleNode):
     def _note_stop(self) -> None:
         """Remember that the robot was told to stop: its next command begins at rest."""
         self._last_command = _ZERO
-        if self._driver.stopped():
+        if self.driver.stopped():
             self._publish_configuration()
 
     # Reports
@@ -382,13 +383,13 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._next_diagnostics = steady.monotonic() + 1.0
         self._parts.telemetry.diagnostics(
             *(self._now(), self.status, self._shown_since, self._parts.path.problem),
-            *(self._driver, self._parts.topics.problem()),
+            *(self.driver, self._parts.topics.problem()),
         )
 
     def _publish_configuration(self) -> None:
         if self._parts is None:
             return
-        driver, after = self._driver, NO_STEP if self._step_time is None else self._step_time
+        driver, after = self.driver, NO_STEP if self._step_time is None else self._step_time
         text = configuration_text(
             driver.settings, driver.route, after, driver.counts, self._weights.digest
         )

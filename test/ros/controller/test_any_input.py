@@ -216,7 +216,7 @@ def test_one_message_from_another_place_does_not_send_the_target_away(
         node.take(good_odometry(step))
     node.take(good_odometry(before, place))
     assert is_good_again(node, before + 1)
-    assert -0.5 < float(node._driver.follower.arc_length) < 0.5
+    assert -0.5 < float(node.driver.follower.arc_length) < 0.5
     assert node.commands[-1].any()
 
 
@@ -230,7 +230,7 @@ def test_a_first_pose_that_is_absurd(node, tolerance, distance):
     for step in range(1, 5):
         node.take(good_odometry(step))
     assert node.state is State.FOLLOWING
-    assert -0.5 < float(node._driver.follower.arc_length) < 0.5
+    assert -0.5 < float(node.driver.follower.arc_length) < 0.5
 
 
 def test_a_path_that_was_refused_for_the_frame_of_the_odometry_is_taken_in_the_right_one(node):
@@ -238,9 +238,9 @@ def test_a_path_that_was_refused_for_the_frame_of_the_odometry_is_taken_in_the_r
     wrong = odometry_message(0, np.zeros(3), np.array([0.5, 0.0]), ("map", "base_link"))
     node.take(wrong)
     node.take(LINE)
-    assert "map" in node._parts.path.problem
+    assert "map" in node.parts.path.problem
     assert is_good_again(node, 1)
-    assert not node._parts.path.problem
+    assert not node.parts.path.problem
 
 
 def test_what_is_too_far_or_too_fast_is_told(node):
