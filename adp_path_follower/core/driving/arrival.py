@@ -15,7 +15,7 @@ from adp_path_follower.core.settings.groups import MotionSettings, Settings
 _RATE = 2.0  # [1/s] of the heading error that is left
 _PART = 0.5 * math.pi  # between two headings on the way
 _DONE = 0.5  # share of yaw_goal_tolerance within which a turn ends, and ...
-_SLOW = 0.15  # [rad/s] ... the angular velocity below which it does
+_SLOW = np.array([0.001, 0.15])  # [m/s, rad/s] ... the command below which it does
 
 
 class Turn:
@@ -61,7 +61,7 @@ def turning_command(
     actuation.advance(max(elapsed, 0.0))
     left = float(wrap_angle(heading - actuation.predicted(pose, motion.actuation_delay)[2]))
     done = abs(left) <= _DONE * motion.yaw_goal_tolerance
-    if done and abs(float(actuation.command[1])) <= _SLOW:
+    if done and (np.abs(actuation.command) <= _SLOW).all():
         return None
     braking = math.sqrt(2.0 * SHARE * motion.max_angular_accel * abs(left))
     speed = min(_RATE * abs(left), braking, limits.max_angular_vel)

@@ -95,6 +95,7 @@ class Driver:
         self._standstill: Standstill | None = None  # between segments
         self._turn: Turn | None = None  # on the spot
         self._faces_goal = False  # after the turn at the end of the route
+        self._was_there = False  # at the end of the route, before it began
         self._to_learn = False  # from the last step
         self._tell_of_speed()
 
@@ -110,11 +111,12 @@ class Driver:
     def at_goal(self) -> bool:
         """Return whether the robot is at the end of an open route."""
         turned = self._faces_goal or self.route is None or self.route.goal_heading is None
-        return self._at_segment_end and self._on_last_segment and turned
+        return self._at_segment_end and self._on_last_segment and turned and self._turn is None
 
     @property
     def _at_segment_end(self) -> bool:
-        return self.follower is not None and bool(self.follower.goal.reached)
+        there = self.follower is not None and bool(self.follower.goal.reached)
+        return there or self._was_there
 
     @property
     def _on_last_segment(self) -> bool:
@@ -143,7 +145,7 @@ class Driver:
             self._left = Left(self.route, place, self._pose, self.at_goal)
             self._learned = self.follower
         self.follower, self.segment, self._standstill = None, 0, None
-        self._turn, self._faces_goal = None, False
+        self._turn, self._faces_goal, self._was_there = None, False, False
 
     def prepared(self, settings: Settings) -> Change:
         """Return the change to other settings, which `take_over` makes at once.
@@ -292,11 +294,13 @@ class Driver:
     def _turning(self, turn: Turn, pose: FloatArray, time: int) -> FollowerOutput | None:
         """Return the output of a turn on the spot, None when driving begins."""
         assert self.follower is not None  # one has begun
+        command = turn.command(pose, time, self._actuation, self.settings)
         if self.output is None:  # before the first step on the segment
             facing = self._present.heading_of_path(pose)
             self.output = self.follower.step_at(facing, time, learn=False)
             self.follower.hold()
-        command = turn.command(pose, time, self._actuation, self.settings)
+            if command is not None:
+                self._actuation.send(command, self.settings)
         if command is not None:
             return self._standing(pose, command)
         self._turn, self._faces_goal = None, self._at_segment_end
@@ -358,6 +362,14 @@ class Driver:
         self._tell_start(text, left_out)
         self._begin_segment(place.segment, place.arc_length)
         self._left = None
+        end = self._present.path.frame(self._present.path.length).pose
+        off = math.dist(end[:2], pose[:2])
+        if max(off, route.length) <= self.settings.motion.xy_goal_tolerance and not route.closed:
+            # It only remains to brake and to turn: so short a path shows no direction, as it leads
+            # from where a planner saw the robot to where the robot already is.
+            self._was_there = self._on_last_segment
+            wanted = float(pose[2]) if route.goal_heading is None else route.goal_heading
+            self._turn = Turn(wanted, 0.0, pose)
 
     def _begin_segment(self, number: int, arc_length: float) -> None:
         self.segment = number

@@ -27,6 +27,7 @@ _SHORT = 1.5  # times the tolerance: a chord that may hide the tip of a cusp
 _DECIDED = 0.5  # cosine between orientation and motion from which on it says forwards, or backwards
 _TURN = 0.2  # [rad] between poses in one place from which on the robot turns on the spot
 _ALIGNED = 0.05  # [rad] between the last pose and the path's end that is no turn at the goal
+_NO_WAY = 0.3  # [m]: a path that may be within xy_goal_tolerance, and not be driven
 _SAID = {"auto": None, "open": False, "closed": True}
 
 
@@ -114,7 +115,7 @@ def _with_goal(
     if not (_is_oriented(headings) or wanted):
         return route
     turn = float(wrap_angle(wanted - turned - _end_heading(route.segments[-1]))) + turned
-    turns = abs(turn) > _ALIGNED  # which no number is
+    turns = abs(turn) > (_ALIGNED if route.length > _NO_WAY else -1.0)  # which no number is
     return replace(route, goal_heading=wanted, goal_turn=turn) if turns else route
 
 
@@ -151,7 +152,7 @@ def _given_headings(headings: ArrayLike | None, count: int) -> FloatArray | None
 
 def _is_oriented(headings: FloatArray) -> bool:
     """Return whether headings (N,) are more than zeros, or those of both ends."""
-    inner = headings[1:-1] if len(headings) > 2 else headings
+    inner = headings[1:-1] if len(headings) > 2 else headings[:1]
     return bool(np.nan_to_num(inner).any())
 
 

@@ -1,10 +1,13 @@
 """The action `follow_path` of Nav2's controller server, where `nav2_msgs` is installed."""
 
+import math
 import time as steady
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as PathMessage
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -12,14 +15,17 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from adp_path_follower.core.driving.driver import Driver
+from adp_path_follower.core.geometry import yaw_of_quaternion
 from adp_path_follower.core.path.progress import Place
 from adp_path_follower.core.safety.supervisor import Kind, State, Status
 from adp_path_follower.core.settings.navigation import NavigationSettings
 from adp_path_follower.ros.controller.path_input import PathInput
 from adp_path_follower.ros.controller.path_worker import PathAnswer
+from adp_path_follower.ros.runtime.conversions import pose_message
 from adp_path_follower.ros.runtime.qos import LATCHED
 
 _RESULT_TIMEOUT = 10  # [s] that a result is kept, as in Nav2
+_WAY = 0.01  # [m] to a single pose
 
 # The error code of each kind of cause, by its name in the result of the action.
 _CODES = {
@@ -154,6 +160,8 @@ class FollowPathAction:
         if not request.path.poses:
             self._abort("INVALID_PATH", "its path has no poses")
             return
+        if len(request.path.poses) == 1:  # as planners send it to a robot that is there
+            request.path.poses.insert(0, _just_before(request.path.poses[0]))
         self._path.submit(serialize_message(request.path), goal)
 
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
@@ -183,6 +191,14 @@ def distance_to_goal(driver: Driver) -> float:
         return 0.0 if driver.route is None else driver.route.length
     here = Place(driver.segment, float(driver.follower.arc_length))
     return max(0.0, driver.route.length - here.along(driver.route))
+
+
+def _just_before(pose: PoseStamped) -> PoseStamped:
+    """Return the pose of a robot that drives straight into another one."""
+    x, y, q = pose.pose.position.x, pose.pose.position.y, pose.pose.orientation
+    yaw = yaw_of_quaternion(q.x, q.y, q.z, q.w)
+    before = np.array([x - _WAY * math.cos(yaw), y - _WAY * math.sin(yaw), yaw])
+    return PoseStamped(header=pose.header, pose=pose_message(before))
 
 
 class _Server(ActionServer):

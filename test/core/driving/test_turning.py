@@ -163,3 +163,28 @@ def test_a_turn_takes_the_time_of_its_limits(turn):
     assert abs(pose[2] - turn) <= 0.05 + 1e-9
     fastest = abs(turn) / 1.0 + 1.0 / 3.0 if abs(turn) > 1.0 / 3.0 else 2.0 * (turn / 3.0) ** 0.5
     assert fastest - 0.1 <= 1e-9 * time <= fastest + 1.8
+
+
+@pytest.mark.parametrize("heading", [None, 0.5])
+@pytest.mark.parametrize("toward", [0.0, 1.5, math.pi])
+def test_a_path_shorter_than_the_tolerance_is_no_way_to_drive(heading, toward):
+    """Planners send such ones to a robot at their goal, in any direction and again and again."""
+    robot, driver = Unicycle(np.zeros(3), PlantSettings()), Driver(build(Settings, LIMITS))
+    driver.follow(prepare([[0.0, 0.0], [2.0, 0.0]], PathSettings()))
+    way, commands = np.zeros((2, 2)), []
+    for step in range(1, 800):
+        if step >= 300 and step % 30 == 0:  # the first one comes at full speed
+            way[:] = robot.pose[:2]
+            way[1] += 0.02 * np.array([math.cos(toward), math.sin(toward)])
+            headings = None if heading is None else [0.0, heading]
+            driver.follow(prepare(way, PathSettings(), headings))
+        commands.append(driver.command_for(robot.pose, step * PERIOD).command)
+        if driver.at_goal:
+            break
+        robot.step(commands[-1], 1e-9 * PERIOD)
+    assert driver.at_goal
+    assert np.hypot(*(robot.pose[:2] - way[1])) < 0.05
+    assert abs(wrap_angle(robot.pose[2] - (heading or 0.0))) < 0.1  # without one it keeps its own
+    changes = np.abs(np.diff(commands[:-1], axis=0))
+    assert (changes.max(axis=0) <= np.array([1.0, 3.0]) * 1e-9 * PERIOD + 1e-9).all()
+    assert abs(commands[-2][0]) < 0.01

@@ -151,6 +151,20 @@ def test_many_preemptions_neither_stop_nor_jolt_the_robot(stepped, start, tmp_pa
     assert not any("passed over" in note for note in drive.notes)
 
 
+def test_goals_where_the_robot_is_are_reached(stepped, start):
+    """A planner that plans again at its goal sends a single pose, or a step in any direction."""
+    planner = stepped
+    planner.start_robot(start, lockstep=True)
+    assert planner.result(planner.send(line(0.0, 1.0))) == (GoalStatus.STATUS_SUCCEEDED, 0)
+    for poses in ([[1.0, 0.0, 1.2]], [[1.02, 0.0, math.nan], [1.0, 0.0, 0.6]]):
+        handles = [planner.send(np.array(poses)) for _ in range(5)]
+        assert planner.result(handles[-1]) == (GoalStatus.STATUS_SUCCEEDED, 0)
+        pose = planner.peer.received["odom"][-1].pose.pose
+        assert math.dist((pose.position.x, pose.position.y), (1.0, 0.0)) < 0.05
+        heading = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+        assert heading == pytest.approx(poses[-1][2], abs=0.1)
+
+
 def test_goals_that_cannot_be_reached_say_why(planner):
     codes = planner.type.Result
     peer = planner.peer
