@@ -360,14 +360,17 @@ class Driver:
         if left_out:
             text += ": the path before is left out, unless path_start is 'beginning'"
         self._tell_start(text, left_out)
+        last, end = len(route.segments) - 1, route.segments[-1].path
+        off = math.dist(end.frame(end.length).pose[:2], pose[:2])
+        short = max(off, route.length) <= self.settings.motion.xy_goal_tolerance
+        self._was_there = short and not route.closed
+        if self._was_there:
+            place = Place(last, end.length)
         self._begin_segment(place.segment, place.arc_length)
         self._left = None
-        end = self._present.path.frame(self._present.path.length).pose
-        off = math.dist(end[:2], pose[:2])
-        if max(off, route.length) <= self.settings.motion.xy_goal_tolerance and not route.closed:
+        if self._was_there:
             # It only remains to brake and to turn: so short a path shows no direction, as it leads
             # from where a planner saw the robot to where the robot already is.
-            self._was_there = self._on_last_segment
             wanted = float(pose[2]) if route.goal_heading is None else route.goal_heading
             self._turn = Turn(wanted, 0.0, pose)
 

@@ -188,3 +188,14 @@ def test_a_path_shorter_than_the_tolerance_is_no_way_to_drive(heading, toward):
     changes = np.abs(np.diff(commands[:-1], axis=0))
     assert (changes.max(axis=0) <= np.array([1.0, 3.0]) * 1e-9 * PERIOD + 1e-9).all()
     assert abs(commands[-2][0]) < 0.01
+
+
+def test_a_route_of_several_segments_within_the_tolerance_is_no_way_to_drive():
+    route = prepare(
+        [[0.0, 0.0], [0.02, 0.0], [0.0, 0.0]],
+        PathSettings(path_tolerance=0.0, allow_reversing=True),
+    )
+    assert len(route.segments) == 2
+    poses, commands = driven(route, [0.0, 0.0, 0.3], min_linear_vel=-0.5, **LIMITS)
+    assert not commands.any()
+    assert not np.ptp(poses, axis=0).any()
