@@ -64,6 +64,12 @@ class VirtualTarget:
         self._previous_error = tracking_error(pose, frame.pose)
         return frame, self._previous_error
 
+    def coming_curvature(self, time: float) -> FloatArray:
+        """Return the curvature [1/m] half way to where it will be after a time [s], (...)."""
+        assert self._previous_error is not None  # it has moved
+        speed = self._speed(self.arc_length, self._previous_error)
+        return self._path.curvature(self.arc_length + 0.5 * time * speed)
+
     def _speed(self, arc_length: FloatArray, error: FloatArray) -> FloatArray:
         v_des = self._reference.speed(arc_length)
         speed = error_dynamics.target_speed(error, self._target, v_des)

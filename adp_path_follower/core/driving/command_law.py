@@ -12,7 +12,8 @@ numbered as they are used here:
          a robot that is not ideal is held on the path (`control.near_path`)
     (7)  [v, w] = [v_ss, w_ss] + u within the limits of velocity and acceleration
 
-Weights that change along the path add (dWc/ds_p)^T sigma s_p' to (4). Every function broadcasts
+Weights that change along the path add (dWc/ds_p)^T sigma s_p' to (4), and with them kappa in (1)
+is that half a period ahead, as commands are held. Every function broadcasts
 over the leading axes (...) of a batch of robots.
 """
 
@@ -105,14 +106,16 @@ class CommandLaw:
         arc_length: FloatArray,
         v_des: Number,
         dt: float,
+        coming: FloatArray | None = None,
     ) -> FollowerOutput:
         """Return command, cost and Bellman error of the present weights, equations (1) to (7).
 
         Takes the path's frame at the target, e = [s, y, theta] in it (..., 3), s_p of the target
-        [m] (...), the speed along the path there [m/s] (...), and the time since the last step [s].
+        [m] (...), the speed along the path there [m/s] (...), the time since the last step [s], and
+        the curvature [1/m] (...) half way through the period for which the command will be held.
         """
         limits = self.settings.limits
-        here = self.situation(frame, error, arc_length, v_des)
+        here = self.situation(frame, error, arc_length, v_des, coming)
         learned = saturate(self.actor_input(here), here.feedforward, limits)
         drift, passing = self._unforced(here)
         running_cost, measured = self._bellman_error(here, drift, passing, learned)
@@ -122,7 +125,7 @@ class CommandLaw:
             if speed is v_des or not np.any(speed != v_des):
                 found = here, learned, running_cost, measured
             else:  # coming from rest, or near the end: judged at the speed that was learned for
-                there = self.situation(frame, error, arc_length, speed)
+                there = self.situation(frame, error, arc_length, speed, coming)
                 tried = saturate(self.actor_input(there), there.feedforward, limits)
                 found = there, tried, *self._bellman_error(there, *self._unforced(there), tried)
             doubt = self._doubt(self._fallback, *found, dt)
@@ -149,7 +152,12 @@ class CommandLaw:
         )
 
     def situation(
-        self, frame: PathFrame, error: FloatArray, arc_length: FloatArray, v_des: Number
+        self,
+        frame: PathFrame,
+        error: FloatArray,
+        arc_length: FloatArray,
+        v_des: Number,
+        coming: FloatArray | None = None,
     ) -> Situation:
         """Return zeta, the feedforward and the value function where the robot is, equation (1)."""
         target, curvature = self.settings.target, frame.curvature
@@ -160,7 +168,7 @@ class CommandLaw:
             zeta=zeta,
             curvature=curvature,
             v_des=v_des,
-            feedforward=error_dynamics.feedforward(curvature, v_des),
+            feedforward=error_dynamics.feedforward(curvature if coming is None else coming, v_des),
             heading=(cos(theta), sin(theta)),
             expansion=self._basis.expansion(zeta),
             local=self._learner.local(arc_length),

@@ -24,6 +24,7 @@ from adp_path_follower.core.path.speed_profile import SpeedProfile, SpeedReferen
 from adp_path_follower.core.settings.groups import Settings
 
 _MOST_DOUBT = 0.5  # above it, it is the Riccati policy that drives
+_MOST_HELD = 0.1  # [s] for which a command is expected to be held, as long as the last one was
 
 
 class PathFollower:
@@ -132,7 +133,11 @@ class PathFollower:
         if self._previous is None or self._actuation.stopped:
             self._reference.launch(self.arc_length, self._actuation.command[..., 0])
         frame, error = self._target.move(pose, dt)
-        output = self.law.step(frame, error, self.arc_length, self._target.v_des, dt)
+        coming = None  # the paper's law feeds forward the curvature at the target
+        if self.settings.learning.scheduling == "arc_length":
+            held = min(dt, _MOST_HELD) or 1.0 / self.settings.controller.controller_frequency
+            coming = self._target.coming_curvature(held)
+        output = self.law.step(frame, error, self.arc_length, self._target.v_des, dt, coming)
         self._actuation.send(output.command, self.settings)
         self.goal.look(pose, output, dt)
         if self._previous is not None:

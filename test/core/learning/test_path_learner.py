@@ -142,13 +142,16 @@ def test_a_command_is_that_of_the_weights_that_are_published_with_it(printed, ex
     values = {**limits, "basis_degree": 4, "input_cost": (2.0, 0.5)}
     values |= {"fallback": "none", "wide_region": "none"}
     follower = PathFollower(build(Settings, values), PATHS["figure eight"], 1.0)
-    outputs = driven(follower, 1.0, (0.6, -0.9, 0.8), 300)
+    outputs = driven(follower, 1.0, (0.6, -0.9, 0.8), 300, period=0.01)
     polynomial = explicit(4, "half_angle")
     clipped = 0
     for output in outputs:
         gradient = polynomial.gradient(output.error)
         pull = printed.input_matrix([*output.error, 0.0])[:3].T @ gradient.T @ output.weights.actor
-        steady = np.array([0.5, 0.5 * float(output.curvature)])
+        # Commands are held for 10 ms: the curvature is that half way through.
+        target_speed = 0.5 * math.cos(output.error[2]) + 0.1 * output.error[0]
+        half_way = float(output.arc_length) + 0.005 * target_speed
+        steady = np.array([0.5, 0.5 * float(PATHS["figure eight"].curvature(half_way))])
         wanted = steady - 0.5 * pull / [2.0, 0.5]
         lower, upper = (
             ([0.0, -1.5], [1.0, 1.5]) if not limits else ([-math.inf] * 2, [math.inf] * 2)
