@@ -140,7 +140,7 @@ class WideRegion:
         """Take levels, limits and kind from the settings."""
         self._policy, self._kind = settings.policy, settings.policy.wide_region
         self._levels = far_levels(settings)
-        self._half_widths = np.array(settings.learning.sample_half_widths[:3])
+        self._half_widths = settings.half_widths
         scale = problem_of(settings).length_scale
         self._grid_ends = math.sqrt(scale) * _GRID_ENDS
         if self._kind == "value_grid":

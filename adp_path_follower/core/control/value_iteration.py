@@ -17,7 +17,12 @@ from adp_path_follower.core.control.riccati import riccati_solutions
 from adp_path_follower.core.control.value_grid import GridAxes, ValueGrid, half_angle_form
 from adp_path_follower.core.control.virtual_target import MOST_LEAD
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
-from adp_path_follower.core.settings.groups import CostSettings, LimitSettings, TargetSettings
+from adp_path_follower.core.settings.groups import (
+    FAST,
+    CostSettings,
+    LimitSettings,
+    TargetSettings,
+)
 
 _CURVATURES = np.array([0.0, 0.25, 0.6, 1.2])  # [1/m] of the layers
 _REACH = 40.0  # [m]
@@ -29,7 +34,6 @@ _TURN = 0.3  # [rad] of the target's frame in a step
 _NEAR = 0.3  # [m], [rad] about the path, where the Riccati solution is the value, ...
 _BEND = 2.0  # [m] within which the nodes are about equally spaced, ...
 _USUAL_SPEED = 0.5  # [m/s] along the path: slower robots change their ways within shorter lengths
-_FAST = 2.0  # [m/s]: faster ones within longer lengths
 _POLICY_EVERY = 5  # sweeps from one policy to the next
 _COARSE_SWEEPS = 60
 _SEARCHED = 30  # sweeps of the first grid that try inputs from limit to limit, too
@@ -57,7 +61,7 @@ class ValueProblem:
     @property
     def length_scale(self) -> float:
         """Return the length within which the best way changes, as a share of the usual one."""
-        return min(1.0, self.speed / _USUAL_SPEED) * max(1.0, self.speed / _FAST)
+        return min(1.0, self.speed / _USUAL_SPEED) * max(1.0, self.speed / FAST)
 
 
 def solve(problem: ValueProblem) -> ValueGrid:

@@ -83,9 +83,8 @@ class KnotModel:
     def __init__(self, settings: Settings, spacing: float, varies: bool = False) -> None:
         """Prepare N samples for knots h [m] apart; `varies`: these have speeds of their own."""
         learning = settings.learning
-        self.states = scattered_samples(
-            learning.sample_count, learning.sample_half_widths[:3], learning.sample_seed
-        )
+        widths = settings.half_widths
+        self.states = scattered_samples(learning.sample_count, widths, learning.sample_seed)
         self._desired_speed, self._varies = settings.target.desired_speed, varies
         self._limits = settings.limits
         self._lowest, self._highest = (
@@ -108,7 +107,7 @@ class KnotModel:
             "ni,ij,nj->n", self.states, settings.cost.state_cost_matrix(), self.states
         )
         # V grows with the square of the distance: relative errors count alike at any distance.
-        radius = np.linalg.norm(self.states / learning.sample_half_widths[:3], axis=1)
+        radius = np.linalg.norm(self.states / widths, axis=1)
         self._importance = radius**-4.0
 
     def __len__(self) -> int:

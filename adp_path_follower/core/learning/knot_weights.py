@@ -47,7 +47,8 @@ class KnotWeights:
         self._profile = profile
         count = max(1, math.ceil(path.length / learning.knot_spacing))
         self.spacing = path.length / count if path.closed else learning.knot_spacing  # h [m]
-        self.window = max(2, round(learning.preview_distance / self.spacing))  # of a preview
+        preview = learning.preview_distance * settings.stretch
+        self.window = max(2, round(preview / self.spacing))  # of a preview
         self._ends = None if path.closed else (-self.window, count + 1 + self.window)
         self.lap = count if path.closed and count <= _MOST_KNOTS else None  # as they come again
         self.size = len(learning.value_basis.labels)

@@ -26,7 +26,7 @@ def sample_grid(half_widths: tuple[float, ...], samples_per_axis: tuple[int, ...
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
-def scattered_samples(count: int, half_widths: tuple[float, ...], seed: int) -> FloatArray:
+def scattered_samples(count: int, half_widths: FloatArray, seed: int) -> FloatArray:
     """Return scrambled Sobol states e in a box, a share drawn to the origin, (count, 3)."""
     points = scrambled_sobol_points(count, seed)
     inner = points[:, 3] / _INNER_SHARE

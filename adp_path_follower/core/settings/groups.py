@@ -15,6 +15,7 @@ from adp_path_follower.core.settings.navigation import NavigationSettings
 from adp_path_follower.core.settings.robot import RobotSettings
 from adp_path_follower.core.settings.schema import POSITIVE, setting, update
 
+FAST = 2.0  # [m/s]: the ways of faster robots are longer, in proportion to the speed
 _WIRING = "the node's topics are made from it"
 _TIMER = "the control timer is made from it"
 
@@ -356,6 +357,16 @@ class Settings:
                 "setting 'allow_reversing' is true, but 'min_linear_vel' is 0: set it to the speed "
                 "in reverse, as in -0.3"
             )
+
+    @property
+    def stretch(self) -> float:
+        """Return by how much the lengths that count for fast robots exceed the usual ones."""
+        return max(1.0, min(self.target.desired_speed, float(self.limits.upper[0])) / FAST)
+
+    @property
+    def half_widths(self) -> FloatArray:
+        """Return the half-widths of the region of sampled s, y [m] and theta [rad], (3,)."""
+        return np.array(self.learning.sample_half_widths[:3]) * [self.stretch, self.stretch, 1.0]
 
     def with_changes(self, **changes: object) -> Settings:
         """Return settings with some values changed, checked like those of a file.

@@ -95,7 +95,8 @@ class LearningSettings:
     sample_half_widths: tuple[float, ...] = setting(
         (1.3, 1.3, 1.3, 0.5),
         "Half-width of the region of sampled states about the origin, along s [m], y [m], θ [rad] "
-        "and φ (below 1, for φ = ±1 is s_p = ±∞; only for scheduling: path_state).",
+        "and φ (below 1, for φ = ±1 is s_p = ±∞; only for scheduling: path_state); with arc_length "
+        "s and y are more above 2 m/s, in proportion.",
         symbol="ζ_j",
         lengths=(4,),
         low=POSITIVE,
@@ -134,7 +135,8 @@ class LearningSettings:
     )
     preview_distance: float = setting(
         2.4,
-        "How far ahead of the robot weights are learned, for scheduling: arc_length.",
+        "How far ahead of the robot weights are learned, for scheduling: arc_length; above 2 m/s, "
+        "farther in proportion.",
         unit="m",
         low=0.02,
         high=100.0,

@@ -226,7 +226,7 @@ def _block_size(settings: Settings, path: Path, duration: float) -> int:
     if learning.scheduling != "arc_length" or not learning.learning:
         return _BLOCK
     covered = 1.5 * duration * settings.target.desired_speed + _WARM_MARGIN
-    covered = min(covered, path.length) + 2.0 * learning.preview_distance
+    covered = min(covered, path.length) + 2.0 * learning.preview_distance * settings.stretch
     weights = covered / learning.knot_spacing * 2.0 * len(learning.value_basis.labels)
     return int(np.clip(_MOST_BYTES / (8.0 * weights), 1, _BLOCK))
 

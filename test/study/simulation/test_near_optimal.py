@@ -66,6 +66,55 @@ def test_forty_starts_before_the_sharpest_bend_know_what_comes():
     assert ratio.min() > 1.0 - 1e-4
 
 
+def least_cost_of_held_commands(path, place, speed, duration):
+    """Return the cost on the path itself of turn rates that are held for 10 ms each."""
+    periods, parts = round(duration * 100.0), 20
+    time = (np.arange(periods * parts) + 0.5) * 0.01 / parts
+    wanted = speed * path.curvature(place + speed * time)
+    return 0.01 * wanted.reshape(periods, parts).var(axis=1).sum()  # the best one is the mean
+
+
+@pytest.mark.parametrize("speed", [0.5, 5.0])
+def test_on_the_path_nothing_is_lost_but_that_commands_are_held(speed):
+    path, duration = named_path("lissajous"), 30.0 / speed  # past two bends
+    result = simulate(
+        build(Settings, {**UNLIMITED, "desired_speed": speed}),
+        path,
+        (0.0, 0.0, 0.0),
+        start_arc_length=15.0,
+        duration=duration,
+        rate=100.0,
+    )
+    least = least_cost_of_held_commands(path, 15.0, speed, duration)
+    assert 0.99 < float(result.cost[0]) / least < 1.02
+
+
+@pytest.mark.parametrize(
+    ("speed", "optima"),  # by bench/endurance/region.py, the starts of the numbers 0, 2, 3 and 5
+    [
+        (2.0, (0.4411754, 0.3267709, 3.008327, 1.124082)),
+        (5.0, (0.3457777, 0.2407901, 3.718323, 1.194603)),
+    ],
+)
+def test_fast_robots_before_a_bend_cost_hardly_more_than_the_optimum(speed, optima):
+    path, place = named_path("lissajous"), 15.527
+    starts = np.random.default_rng(15).uniform(-1.0, 1.0, (8, 3)) * [1.0, 1.0, math.pi / 3.0]
+    result = simulate(
+        build(Settings, {**UNLIMITED, "desired_speed": speed}),
+        path,
+        starts[[0, 2, 3, 5]],
+        start_arc_length=place,
+        learning="warm",
+        duration=8.0,
+        rate=100.0,
+    )
+    assert np.abs(result.final_error).max() < 5e-3  # in a bend
+    held = least_cost_of_held_commands(path, place, speed, 8.0)
+    ratio = (result.cost - held) / optima
+    assert ratio.min() > 1.0 - 1e-4
+    assert ratio.max() < 1.003
+
+
 def test_a_quarter_of_a_lap_costs_no_more_than_its_share_of_ten_minutes():
     """1e-4 between 60 s and 600 s is what is promised; a quarter has as much of every bend.
 
