@@ -14,6 +14,7 @@ from adp_path_follower.core.geometry import FloatArray, pose_in_frame
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.progress import new_start
 from adp_path_follower.core.path.route import route_of
+from adp_path_follower.core.path.speed_profile import speed_from_rest
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.optimum.reference import (
     COST_HORIZON,
@@ -103,7 +104,8 @@ def _virtual_target(
     settings: Settings, path: Path, time: FloatArray, poses: FloatArray, start: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the virtual target's arc length at each step, shape (N,), and the first error (3,)."""
-    target = VirtualTarget(path, settings.target, start)
+    reference = speed_from_rest(path, settings, start)
+    target = VirtualTarget(path, settings.target, start, reference)
     arc_lengths, first = np.zeros(len(time)), np.zeros(3)
     for step, period in enumerate(np.diff(time, prepend=0.0).tolist()):
         _, error = target.move(poses[step], period)

@@ -31,7 +31,6 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
-from adp_path_follower.core.path.speed_profile import speed_varies
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import config_file
@@ -106,6 +105,8 @@ def optimum(
     )
     if check and len(settings.cost.input_cost) == 4 and not settings.limits.unlimited:
         raise AdpError("--check needs a diagonal input_cost where there are limits: leave it out")
+    if check and settings.motion.limited:
+        raise AdpError("--check knows no limits of acceleration: leave one of them out")
     path = named_path(path_name, settings.path)
     errors = collect_starts(starts, starts_file)
     check_writable(json_file, npz_file, figure_file)
@@ -126,10 +127,6 @@ def optimum(
             rows.append(_Row(start, found, check_cost, problem))
             progress((index + 1) / len(errors))
     click.echo(_table(rows, check))
-    if speed_varies(path, settings):
-        click.echo(
-            "v_des varies along this path, but the optimum has a constant one (adp docs paths)"
-        )
     problems = [row.problem for row in rows if row.problem]
     for text in problems:
         click.echo(f"adp: {text}", err=True)

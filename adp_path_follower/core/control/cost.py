@@ -5,7 +5,7 @@ import numpy as np
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray, advance_pose, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
-from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedProfile
+from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedReference
 from adp_path_follower.core.settings.groups import CostSettings, Settings
 
 
@@ -30,11 +30,13 @@ class RunningCost:
 class MotionCost:
     """The cost of moving at constant twist, with the virtual target moving on beside the robot."""
 
-    def __init__(self, settings: Settings, path: Path, profile: SpeedProfile | None = None) -> None:
+    def __init__(
+        self, settings: Settings, path: Path, reference: SpeedReference | None = None
+    ) -> None:
         """Take cost, target and path; the speed along it is by default `desired_speed`."""
         self._target, self._path = settings.target, path
         self._running_cost = RunningCost(settings.cost)
-        self._profile = profile or ConstantSpeed(settings.target)
+        self._reference = reference or ConstantSpeed(settings.target)
 
     def __call__(
         self,
@@ -67,7 +69,7 @@ class MotionCost:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the running cost and the speed of the virtual target at a frame of the path."""
         error = tracking_error(pose, frame.pose)
-        v_des = self._profile.speed(arc_length)
+        v_des = self._reference.speed(arc_length)
         modified_input = twist - error_dynamics.feedforward(frame.curvature, v_des)
         cost_rate = self._running_cost(error, modified_input)
         return cost_rate, error_dynamics.target_speed(error, self._target, v_des)

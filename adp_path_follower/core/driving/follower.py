@@ -36,6 +36,7 @@ class PathFollower:
     Attributes:
         path: The path that it follows.
         profile: The speed along it.
+        reference: The same, approached from the robot's speed.
         goal: Whether its end is reached.
         law: Turns an error into a command.
         cost: J so far, by the trapezoidal rule over the control steps, shape (...).
@@ -65,8 +66,8 @@ class PathFollower:
         self.profile = SpeedProfile(path, settings)
         self.goal = Goal(path, settings.motion, self.profile.stops)
         self._actuation = actuation if actuation is not None else Actuation()
-        self._reference = SpeedReference(self.profile, settings)
-        self._target = VirtualTarget(path, settings.target, arc_length, self._reference)
+        self.reference = SpeedReference(self.profile, settings)
+        self._target = VirtualTarget(path, settings.target, arc_length, self.reference)
         riccati = RiccatiSchedule(path, settings.target, settings.cost, self.profile)
         self._learner: Learner
         if settings.learning.scheduling == "arc_length":
@@ -131,7 +132,7 @@ class PathFollower:
         if self._previous is None or dt < 0.0:
             dt = 0.0
         if self._previous is None or self._actuation.stopped:
-            self._reference.launch(self.arc_length, self._actuation.command[..., 0])
+            self.reference.launch(self.arc_length, self._actuation.command[..., 0])
         frame, error = self._target.move(pose, dt)
         coming = None  # the paper's law feeds forward the curvature at the target
         if self.settings.learning.scheduling == "arc_length":
@@ -232,8 +233,8 @@ class PathFollower:
         """Return a follower with other settings at the same place that has taken over from this."""
         other = PathFollower(settings, self.path, self.arc_length, actuation=self._actuation)
         other.take_over(self)
-        other._target = self._target.copy(settings.target, other._reference)
+        other._target = self._target.copy(settings.target, other.reference)
         other.cost, other._previous = self.cost, self._previous
         if self._previous is not None:
-            other._reference.launch(self.arc_length, self._reference.speed(self.arc_length))
+            other.reference.launch(self.arc_length, self.reference.speed(self.arc_length))
         return other

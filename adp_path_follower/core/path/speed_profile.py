@@ -13,6 +13,7 @@ v_des^2 is linear between the nodes, as it is under a constant acceleration.
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -126,34 +127,55 @@ class SpeedProfile:
 
 
 class SpeedReference:
-    """The profile, approached from the robot's speed within its accelerations."""
+    """The profile, approached from the robot's speed within its accelerations.
+
+    Attributes:
+        profile: The profile itself.
+        stops: Whether the robot brakes to the end of the path.
+        rise: By how much v_des^2 may rise along the path, from the start on [m/s^2].
+        start: Where it was launched [m], and v_des^2 there, (...) each; None before.
+
+    """
 
     def __init__(self, profile: SpeedProfile, settings: Settings) -> None:
         """Take the accelerations; the profile holds from the start until `launch` is called."""
         motion = settings.motion
-        self._profile, self.stops = profile, profile.stops
-        self._rise = 2.0 * SHARE * motion.max_linear_accel
+        self.profile, self.stops = profile, profile.stops
+        self.rise = 2.0 * SHARE * motion.max_linear_accel
         self._fall = 2.0 * SHARE * motion.max_linear_decel
-        self._limited = math.isfinite(self._rise) or math.isfinite(self._fall)
-        self._start: tuple[FloatArray, FloatArray] | None = None
+        self._limited = math.isfinite(self.rise) or math.isfinite(self._fall)
+        self.start: tuple[FloatArray, Number] | None = None
+
+    @property
+    def varies(self) -> bool:
+        """Return whether v_des is anything else than `desired_speed`, anywhere."""
+        return self.profile.varies or self.start is not None
 
     def launch(self, arc_length: FloatArray, speed: Number) -> None:
         """Approach the profile from a speed (...) [m/s] at arc lengths (...) [m]."""
         if self._limited:
-            from_rest = np.maximum(speed, self._profile.slowest)  # at zero it would never start
-            self._start = (arc_length, from_rest**2)
+            from_rest = np.maximum(speed, self.profile.slowest)  # at zero it would never start
+            self.start = (arc_length, from_rest**2)
+
+    def of_robot(self, number: int) -> SpeedReference:
+        """Return that of one robot of the batch (B,) with which this was launched."""
+        other = copy.copy(self)
+        if self.start is not None:
+            start, squared = map(np.ravel, np.broadcast_arrays(*self.start))
+            other.start = (start[number % len(start)], squared[number % len(start)])
+        return other
 
     def speed(self, arc_length: FloatArray) -> Number:
         """Return v_des at arc lengths (...) [m], as `SpeedProfile.speed`."""
-        wanted = self._profile.speed(arc_length)
-        if self._start is None:
+        wanted = self.profile.speed(arc_length)
+        if self.start is None:
             return wanted
-        start, squared = self._start
+        start, squared = self.start
         run = np.maximum(arc_length - start, 0.0)
         if math.isfinite(self._fall):
             wanted = np.maximum(wanted, np.sqrt(np.maximum(squared - self._fall * run, 0.0)))
-        if math.isfinite(self._rise):
-            wanted = np.minimum(wanted, np.sqrt(squared + self._rise * run))
+        if math.isfinite(self.rise):
+            wanted = np.minimum(wanted, np.sqrt(squared + self.rise * run))
         return wanted
 
 
@@ -167,8 +189,19 @@ def _at_most_rising_by(values: FloatArray, steps: FloatArray) -> FloatArray:
     return np.where(reached < (1.0 - 1e-12) * values, reached, values)  # but for rounding
 
 
-def speed_varies(path: Path, settings: Settings) -> bool:
-    """Return whether v_des is anything else than `desired_speed`, along the path or from rest."""
-    motion = settings.motion
-    from_rest = math.isfinite(min(motion.max_linear_accel, motion.max_linear_decel))
-    return from_rest or SpeedProfile(path, settings).varies
+def speed_from_rest(path: Path, settings: Settings, arc_length: float) -> SpeedReference:
+    """Return the speed along a path for a robot that starts from rest at an arc length [m]."""
+    reference = SpeedReference(SpeedProfile(path, settings), settings)
+    reference.launch(np.asarray(arc_length), 0.0)
+    return reference
+
+
+def passing_times(reference: SpeedReference, arc_length: FloatArray) -> FloatArray:
+    """Return when v_des passes increasing arc lengths (N,) [m], from the first on, (N,) [s].
+
+    Exact where accelerations are constant between them; infinite beyond a place where it stops.
+    """
+    speed = np.broadcast_to(reference.speed(arc_length), arc_length.shape)
+    with np.errstate(divide="ignore"):
+        steps = 2.0 * np.diff(arc_length) / (speed[1:] + speed[:-1])
+    return np.append(0.0, np.cumsum(steps))

@@ -13,11 +13,12 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.drive import project
-from adp_path_follower.core.path.speed_profile import speed_varies
+from adp_path_follower.core.path.speed_profile import SpeedReference, passing_times
 from adp_path_follower.core.robot.model import IDEAL
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import update
 from adp_path_follower.drawing.charts import ShownRun
-from adp_path_follower.study.comparison.controllers import Contender, contenders
+from adp_path_follower.study.comparison.controllers import RATE, Contender, contenders
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
 from adp_path_follower.study.optimum.problem import OptimumError, Ways
 from adp_path_follower.study.simulation.shown import shown_run
@@ -139,23 +140,27 @@ def compare(
     Target, cost and limits of all are those of `settings`, as is the learner of "adp". The starts
     are errors of shape (B, 3) to a virtual target at `start_arc_length` [m]; the cost is that over
     `duration` [s]. All see the same noise of `plant` and `faults`, but J* is the ideal robot's.
-    `progress` takes the fraction done. Raises AdpError for an unknown controller, no start, or a
-    speed that varies along the path, which only some of the controllers know.
+    `progress` takes the fraction done. Raises AdpError for an unknown controller, no start, limits
+    that the optimum does not know, or a controller that does not know those of the others.
     """
+    # The first command of all, and of J*, may be what accelerations allow in the same period.
+    settings = update(settings, {"controller_frequency": RATE})
     chosen = contenders(settings, names, plant.model if plant else IDEAL)
-    if speed_varies(path, settings):
-        raise AdpError(
-            f"v_des varies along {path_name}, which the optimum and the peers do not know: set "
-            "max_lateral_accel, max_linear_accel, max_linear_decel and max_angular_accel to .inf, "
-            "and desired_speed no higher than the limits of velocity allow in each bend"
-        )
     known = np.asarray(np.isfinite(starts).all(axis=1))
     if not known.any():
         raise AdpError("starts must be finite values s, y, theta, three for each start")
-    for item in chosen:  # what cannot run is said before the long work
-        item.factory(item.settings, path, np.full(1, start_arc_length))
     solver = OptimumSolver(settings, path, start_arc_length, duration)
-    parts = len(chosen) + 1
+    reference = solver.problem.reference
+    for item in chosen:  # what cannot run is said before the long work
+        made = item.factory(item.settings, path, np.full(1, start_arc_length))
+        same_speed = hasattr(made, "reference")
+        if (reference.varies or settings.motion.limited) and not same_speed:
+            raise AdpError(
+                f"controller '{item.name}' knows neither a speed that varies along the path nor "
+                "limits of acceleration: derive it from PeerController, or set all max_*_accel, "
+                "max_linear_decel and desired_speed so that there are none"
+            )
+    parts, lap = len(chosen) + 1, _lap(path, start_arc_length, reference)
     ways = Ways(len(starts))
     outcomes = []
     for index, item in enumerate(chosen):
@@ -174,7 +179,6 @@ def compare(
             faults=faults,
             controller=item.factory,
         )
-        lap = _lap(path, start_arc_length, item.settings.target.desired_speed)
         observed = functools.partial(run, observe=ways.of_another(known))
         found = _outcome(item, observed, run, path, starts, duration, lap, len(chosen), advance)
         outcomes.append(found)
@@ -193,12 +197,13 @@ def compare(
     return Comparison(path_name, starts, optimal, tuple(problems), notes, rated)
 
 
-def _lap(path: Path, start_arc_length: float, speed: float) -> float:
+def _lap(path: Path, start_arc_length: float, reference: SpeedReference) -> float:
     """Return how long a robot drives [s] for a lap after the transient, or to the path's end."""
-    length = path.length if path.closed else path.length - start_arc_length
-    lap = min(length / speed, _LONGEST_LAP)
-    whole = criteria.TRANSIENT + lap
-    return whole if path.closed else max(min(length / speed, whole), 1.0)
+    end = start_arc_length + path.length if path.closed else path.length
+    places = np.linspace(start_arc_length, end, len(path.samples.arc_length))
+    lap = float(passing_times(reference, places)[-1])
+    whole = criteria.TRANSIENT + min(lap, _LONGEST_LAP)
+    return whole if path.closed else max(min(lap, whole), 1.0)
 
 
 def _optima(
@@ -218,7 +223,8 @@ def _optima(
         try:
             optimum = solver.solve(start, ways.motions(index))
             least = float(np.nanmin(costs[:, index], initial=math.inf))
-            if least < optimum.cost * (1.0 - _AGREEMENT) - _AGREEMENT:
+            doubt = max(_AGREEMENT, optimum.mesh_change)
+            if least < optimum.cost * (1.0 - doubt) - _AGREEMENT:
                 raise OptimumError(
                     f"optimum from the start {start.tolist()} is only a local one: it costs "
                     f"{optimum.cost:.7g}, but a controller {least:.7g}; no J/J* is told of it"

@@ -105,7 +105,7 @@ CONTROLLERS: dict[str, str] = {**OWN, **{name: peer.description for name, peer i
 
 OWN_PEERS: Registry[Peer] = Registry("peer", tuple(CONTROLLERS))  # of `register_peer`
 
-_RATE = 100.0  # [Hz]
+RATE = 100.0  # [Hz]
 
 
 def register_peer(
@@ -199,15 +199,15 @@ def _contender(name: str, settings: Settings, model: RobotModel) -> Contender:
         settings = update(settings, {**given, "robot_model": kind or "ideal"})
     if controller in ("adp", "adp_cold"):
         mode = "warm" if controller == "adp" else "cold"
-        return Contender(name, settings, PathFollower, mode, _RATE)
+        return Contender(name, settings, PathFollower, mode, RATE)
     if controller == "paper":
-        return Contender(name, _paper_laws(settings), PathFollower, "cold", _RATE)
+        return Contender(name, _paper_laws(settings), PathFollower, "cold", RATE)
     peer = PEERS.get(controller) or OWN_PEERS.find(controller)
     if peer is None:
         raise AdpError(
             f"unknown controller '{controller}': choose from {', '.join(known_controllers())}"
         )
-    return Contender(name, settings, peer.factory, "frozen", peer.control_rate or _RATE)
+    return Contender(name, settings, peer.factory, "frozen", peer.control_rate or RATE)
 
 
 def _paper_laws(settings: Settings) -> Settings:

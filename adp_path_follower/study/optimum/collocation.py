@@ -31,7 +31,9 @@ _DEGREE = 5  # of the polynomials on each mesh interval
 _INTERVALS = 40
 _GRADING = 4.0  # logarithm of how much longer the last interval is than the first
 _TOLERANCE = 1e-6  # relative change of J from one mesh to the next that counts as none
-_TURNED_TOLERANCE = 2e-5  # the same where theta passes pi, at which the cost has a kink
+# The same where theta passes pi, at which the cost has a kink, and with limits of acceleration,
+# with which commands have kinks.
+_KINKED_TOLERANCE = 2e-5
 _NOTHING = 1e-9  # a cost in which nothing is to be won: the start is on the path
 _DENSITY_EXPONENT = 1.0 / 3.0  # of an interval's error, in how many intervals take its place
 _KEPT = 0.3  # of a mesh's intervals that stay where they are
@@ -142,8 +144,9 @@ class OptimumSolver:
         coarse, fine = self._mesh(breaks), self._mesh(_halved(breaks))
         found: list[Motion] = []
         known = [way.at(coarse.time) for way in ways]
+        first = np.append(start, self.problem.start_arc_length)
         for guess in [*known, *self.problem.guesses(start, coarse.time)]:
-            motion = coarse.solve(guess)
+            motion = coarse.solve(guess.beginning_at(first))  # a robot may have begun elsewhere
             if motion is not None and all(_change(motion, other) > 1e-6 for other in found):
                 found.append(motion)
         pairs = [(motion, fine.solve(motion.at(fine.time))) for motion in found]
@@ -155,7 +158,8 @@ class OptimumSolver:
         breaks = _halved(_graded(_INTERVALS // 2, self._horizon))
         change = _change(best, coarse)
         turns = np.abs(best.state[:, 2]).max() > math.pi
-        tolerance = _TURNED_TOLERANCE if turns else _TOLERANCE
+        kinked = turns or self.problem.settings.motion.limited
+        tolerance = _KINKED_TOLERANCE if kinked else _TOLERANCE
         while change > tolerance:
             if len(breaks) > 4 * _INTERVALS:
                 raise OptimumError(
@@ -220,38 +224,40 @@ class _Mesh:
         self.time = np.append(0.0, (breaks[:-1, None] + steps[:, None] * points).ravel())
         count = intervals * _DEGREE
         state = casadi.MX.sym("state", 4, count + 1)
-        inputs = casadi.MX.sym("inputs", 2, count)
+        command = casadi.MX.sym("command", 2, count + 1)
         start = casadi.MX.sym("start", 4)
         expressions = problem.expressions()
-        rate, cost, angular = expressions.map(count)(state[:, 1:], inputs)
-        defects, total = [state[:, 0] - start], 0.0
+        rate, cost = expressions.map(count)(state[:, 1:], command[:, 1:])
+        defects, slopes, total = [state[:, 0] - start], [], 0.0
+        slowest, fastest = problem.rates()
+        limited = np.flatnonzero(np.isfinite(slowest) | np.isfinite(fastest)).tolist()
         for index, step in enumerate(steps):
             first, last = index * _DEGREE, (index + 1) * _DEGREE
             slope = state[:, first : last + 1] @ derivative
             defects.append(casadi.vec(slope - step * rate[:, first:last]))
             total += step * (cost[:, first:last] @ quadrature)
-        limits, v_des = problem.settings.limits, problem.settings.target.desired_speed
-        (slowest, _), (fastest, sharpest) = limits.lower.tolist(), limits.upper.tolist()
-        self._bounds: dict[str, Any] = {}
-        equalities = 4 * (count + 1)
-        bound = np.zeros(equalities)
-        self._bounds["lbg"], self._bounds["ubg"] = bound, bound
-        if math.isfinite(sharpest):
-            defects.append(angular.T)
-            turn = np.full(count, sharpest)
-            self._bounds["lbg"] = np.append(bound, -turn)
-            self._bounds["ubg"] = np.append(bound, turn)
-        free = np.full(equalities, math.inf)
-        self._bounds["lbx"] = np.append(-free, np.tile([slowest - v_des, -math.inf], count))
-        self._bounds["ubx"] = np.append(free, np.tile([fastest - v_des, math.inf], count))
+            slopes += [command[row, first : last + 1] @ derivative / step for row in limited]
+        limits, exact = problem.settings.limits, np.zeros(4 * (count + 1))
+        free = np.full(4 * (count + 1), math.inf)
+        # The first command is free as far as accelerations allow; without limits it counts nowhere.
+        first_lower, first_upper = np.zeros((2, 2))
+        lowest, highest = problem.limits_at_rest()
+        first_lower[limited], first_upper[limited] = lowest[limited], highest[limited]
+        self._limited = limited
+        self._bounds: dict[str, Any] = {
+            "lbx": np.concatenate([-free, first_lower, np.tile(limits.lower, count)]),
+            "ubx": np.concatenate([free, first_upper, np.tile(limits.upper, count)]),
+            "lbg": np.append(exact, np.tile(np.repeat(slowest[limited], _DEGREE), intervals)),
+            "ubg": np.append(exact, np.tile(np.repeat(fastest[limited], _DEGREE), intervals)),
+        }
         self._solver = casadi.nlpsol(
             "optimum",
             "ipopt",
             {
-                "x": casadi.vertcat(casadi.vec(state), casadi.vec(inputs)),
+                "x": casadi.vertcat(casadi.vec(state), casadi.vec(command)),
                 "p": start,
                 "f": total,
-                "g": casadi.vertcat(*defects),
+                "g": casadi.vertcat(*defects, *(slope.T for slope in slopes)),
             },
             {
                 "print_time": False,
@@ -262,21 +268,26 @@ class _Mesh:
             },
         )
         self._expressions, self._breaks, self._points = expressions, breaks, points
+        self._problem = problem
 
     def solve(self, guess: Motion) -> Motion | None:
         """Return the optimal motion from where a guess starts; None if none is found."""
         start = guess.state[0]
-        values = np.append(guess.state.ravel(), guess.modified_input[1:].ravel())
+        command = guess.modified_input + self._problem.feedforward(guess.state[:, 3])
+        values = np.append(guess.state.ravel(), command.ravel())
         result = self._solver(x0=values, p=start, **self._bounds)
         if not self._solver.stats()["success"]:
             return None
         found = np.array(result["x"]).ravel()
         state = found[: guess.state.size].reshape(-1, 4)
         state[0] = start  # as it is, without the solver's rounding
-        inputs = found[guess.state.size :].reshape(-1, 2)
-        # No collocation point lies at the start: the first interval's polynomial gives its input.
-        first = BarycentricInterpolator(self._points, inputs[:_DEGREE])(0.0)
-        return Motion(float(result["f"]), self.time, state, np.vstack([first, inputs]))
+        command = found[guess.state.size :].reshape(-1, 2)
+        # No collocation point lies at the start: the first interval's polynomial gives its command.
+        first = BarycentricInterpolator(self._points, command[1 : _DEGREE + 1])(0.0)
+        free = [row for row in range(2) if row not in self._limited]
+        command[0, free] = first[free]
+        modified = command - self._problem.feedforward(state[:, 3])
+        return Motion(float(result["f"]), self.time, state, modified)
 
     def redistributed(self, motion: Motion) -> tuple[float, ...]:
         """Return a mesh with as many intervals, close where a motion's polynomials are wrong."""
@@ -295,13 +306,14 @@ class _Mesh:
         between = 0.5 * (nodes[1:] + nodes[:-1])
         index = np.arange(len(steps))[:, None] * _DEGREE + np.arange(_DEGREE + 1)
         states = np.swapaxes(motion.state[index], 0, 1)  # (points, N, 4)
-        inputs = np.swapaxes(motion.modified_input[index[:, 1:]], 0, 1)
+        command = motion.modified_input + self._problem.feedforward(motion.state[:, 3])
+        commands = np.swapaxes(command[index[:, 1:]], 0, 1)
         # Krogh's, for scipy 1.11 has no derivative of a barycentric one.
         curve = KroghInterpolator(nodes, states)
         state, slope = curve(between), curve.derivative(between)
-        input_ = BarycentricInterpolator(self._points, inputs)(between)
-        rate, *_ = self._expressions.map(state.shape[0] * state.shape[1])(
-            state.reshape(-1, 4).T, input_.reshape(-1, 2).T
+        held = BarycentricInterpolator(self._points, commands)(between)
+        rate, _ = self._expressions.map(state.shape[0] * state.shape[1])(
+            state.reshape(-1, 4).T, held.reshape(-1, 2).T
         )
         missed = slope - steps[:, None] * np.array(rate).T.reshape(state.shape)
         return np.asarray(np.abs(missed).max(axis=(0, 2)))

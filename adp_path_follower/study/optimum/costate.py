@@ -1,10 +1,11 @@
 """The optimum by its necessary conditions: an independent check of the collocation.
 
 Pontryagin's principle gives a boundary value problem in the state and its costates. It is written
-in the actual inputs [v, w], whose limits do not depend on the state, and takes the path's curvature
+in the actual inputs [v, w], whose limits do not depend on the state, and takes curvature and speed
 from the path itself; nothing is shared with the transcription but the guess.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +13,10 @@ from scipy.integrate import solve_bvp
 
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.riccati import riccati_solution
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.study.optimum.problem import Motion, OptimumError, Problem
 
-_CURVATURE_STEP = 1e-4  # [m] of the central difference that gives the change of curvature
+_DIFFERENCE = 1e-4  # [m] to either side, of curvature and speed along the path
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,10 @@ class Extremal:
 
 
 def solve_costates(problem: Problem, motion: Motion) -> Extremal:
-    """Return the extremal near a motion, such as a collocation's; OptimumError if there is none."""
+    """Return the extremal near a motion, such as a collocation's, without limits of acceleration.
+
+    Raises OptimumError if there is none.
+    """
     if np.abs(motion.state[:, 2]).max() > np.pi:
         raise OptimumError(
             "no check by costates where the heading error passes pi, as the cost has a kink there: "
@@ -56,13 +60,12 @@ def _rates(problem: Problem, values: FloatArray) -> FloatArray:
     """Return the rates of state (4), costates (4) and cost, shape (9, T)."""
     s, y, theta, arc_length, *costates = values[:8]
     target = problem.settings.target
-    v_des, gain = target.desired_speed, target.target_gain
-    curvature = problem.path.curvature(arc_length)
-    ahead = problem.path.curvature(arc_length + _CURVATURE_STEP)
-    behind = problem.path.curvature(arc_length - _CURVATURE_STEP)
-    slope = (ahead - behind) / (2.0 * _CURVATURE_STEP)
+    gain = target.target_gain
+    curvature, slope = _along_path(problem.path.curvature, arc_length)
+    v_des, faster = _along_path(problem.reference.speed, arc_length)
     cos, sin = np.cos(theta), np.sin(theta)
     speed = v_des * cos + gain * s
+    speeding = faster * cos  # change of the target's speed along the path
     feedforward = error_dynamics.feedforward(curvature, v_des).T
     along, across, turning, _ = costates
     # The minimiser of the Hamiltonian; clipped to the box, it is the constrained one (R diagonal).
@@ -90,19 +93,35 @@ def _rates(problem: Problem, values: FloatArray) -> FloatArray:
                 gain * (curvature * y - 1.0),
                 speed * curvature,
                 -v_des * sin * (curvature * y - 1.0) - linear * sin,
-                slope * speed * y,
+                slope * speed * y + speeding * (curvature * y - 1.0),
             ],
             [
                 -curvature * (speed + s * gain),
                 nothing,
                 linear * cos + curvature * s * v_des * sin,
-                -slope * s * speed,
+                -s * (slope * speed + curvature * speeding),
             ],
-            [-curvature * gain, nothing, curvature * v_des * sin, -slope * speed],
-            [gain + nothing, nothing, -v_des * sin, nothing],
+            [
+                -curvature * gain,
+                nothing,
+                curvature * v_des * sin,
+                -slope * speed - curvature * speeding,
+            ],
+            [gain + nothing, nothing, -v_des * sin, speeding],
         ]
     )
-    cost_slope = np.stack([*(2.0 * error_weighted), -2.0 * weighted[1] * slope * v_des])
+    turning_slope = slope * v_des + curvature * faster
+    by_place = -2.0 * (weighted[0] * faster + weighted[1] * turning_slope)
+    cost_slope = np.stack([*(2.0 * error_weighted), by_place])
     costate_rate = -cost_slope - np.einsum("ijt,it->jt", by_state, np.array(costates))
     cost = (values[:3] * error_weighted).sum(axis=0) + (modified * weighted).sum(axis=0)
     return np.vstack([rate, costate_rate, cost])
+
+
+def _along_path(
+    values: Callable[[FloatArray], Number], arc_length: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return values at arc lengths (T,) [m], and their change along the path, shape (T,) each."""
+    ahead, behind = values(arc_length + _DIFFERENCE), values(arc_length - _DIFFERENCE)
+    here = np.broadcast_to(values(arc_length), arc_length.shape)
+    return here, here * 0.0 + (ahead - behind) / (2.0 * _DIFFERENCE)

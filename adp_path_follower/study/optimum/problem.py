@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.actuation import limited_command
 from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.control.policy import saturate
+from adp_path_follower.core.control.policy import within
 from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.speed_profile import passing_times, speed_from_rest
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import Library
 from adp_path_follower.study.simulation.simulate import Observer
@@ -22,8 +24,13 @@ from adp_path_follower.study.simulation.simulate import Observer
 casadi = Library("casadi", "the offline optimum", "optimum")
 
 _MARGIN = 10.0  # [m] of path behind and ahead of what the desired speed covers
-_SPACING = 0.005  # [m] of the curvature's knots: at 2 cm J* was 1e-4 wrong round a corner
-_LONGEST = 2000.0  # [m] of path whose curvature is prepared
+_SPACING = 0.005  # [m] of the knots: at 2 cm J* was 1e-4 wrong round a corner
+_LONGEST = 2000.0  # [m] of path whose curvature and speed are prepared
+_STEP = 0.02  # [s] of a guess
+_ROUND = (
+    2e-5  # [m] of corners of v_des^2: at 1e-4 J* was 4e-5 too low, without it IPOPT went astray
+)
+_LEAST_SPEED = 1e-3  # [m/s] whose square v_des^2 is not below, where splines swing
 
 
 class OptimumError(AdpError):
@@ -49,6 +56,13 @@ class Motion:
         columns = [np.interp(time, self.time, column) for column in self.modified_input.T]
         return Motion(self.cost, time, state, np.stack(columns, axis=1))
 
+    def beginning_at(self, start: FloatArray) -> Motion:
+        """Return the motion from s, y, theta, s_p, shape (4,); its own turns of theta stay."""
+        state = self.state.copy()
+        turns = np.round((state[0, 2] - start[2]) / (2.0 * math.pi))
+        state[0] = start + np.array([0.0, 0.0, 2.0 * math.pi * turns, 0.0])
+        return replace(self, state=state)
+
 
 class Problem:
     """The optimal control problem in the target's frame, as numbers and as CasADi expressions."""
@@ -56,7 +70,10 @@ class Problem:
     def __init__(
         self, settings: Settings, path: Path, start_arc_length: float, horizon: float
     ) -> None:
-        """Prepare the path's curvature from the start to what is reached in a time [s]."""
+        """Prepare curvature and speed of the path from the start to what is reached in a time [s].
+
+        Raises OptimumError for settings or a path that the problem does not know.
+        """
         self.settings, self.path = settings, path
         self.start_arc_length = start_arc_length
         self.state_cost = settings.cost.state_cost_matrix()
@@ -69,31 +86,70 @@ class Problem:
             )
         first = start_arc_length - _MARGIN
         knots = np.arange(first, first + covered, _SPACING)
+        self.reference = speed_from_rest(path, settings, start_arc_length)
+        self._ahead = np.append(start_arc_length, knots[knots > start_arc_length])
+        self._passing = passing_times(self.reference, self._ahead)
+        end = float(np.interp(path.length, self._ahead, self._passing))  # [s]
+        _refuse_unknown(settings, self.reference.stops and end < horizon)
         self._curvature = casadi.interpolant("curvature", "bspline", [knots], path.curvature(knots))
+        if self.reference.varies:  # squares, for they are linear under a constant acceleration
+            squares = np.square(self.reference.profile.speed(knots)) + np.zeros(len(knots))
+            self._profile = casadi.interpolant("profile", "bspline", [knots], squares)
 
     def expressions(self) -> Any:
-        """Return a CasADi function (state, u) -> (state', running cost, angular velocity)."""
-        state, u = casadi.MX.sym("state", 4), casadi.MX.sym("u", 2)
+        """Return a CasADi function (state, command [v, w]) -> (state', running cost)."""
+        state, command = casadi.MX.sym("state", 4), casadi.MX.sym("command", 2)
         s, y, theta, arc_length = casadi.vertsplit(state)
-        target = self.settings.target
-        curvature, v_des = self._curvature(arc_length), target.desired_speed
+        target, curvature = self.settings.target, self._curvature(arc_length)
+        v_des = target.desired_speed
+        if self.reference.varies:
+            squared = casadi.fmax(self._profile(arc_length), _LEAST_SPEED**2)
+            launched = self.reference.start
+            if launched is not None and math.isfinite(self.reference.rise):
+                start, least = launched  # exact, for near rest the target goes away from errors
+                run = _greater(arc_length - float(start), 0.0, _ROUND)
+                reached = least + self.reference.rise * run
+                squared = -_greater(-squared, -reached, self.reference.rise * _ROUND)
+            v_des = casadi.sqrt(squared)
         speed = v_des * casadi.cos(theta) + target.target_gain * s
         rate = casadi.vertcat(
-            speed * (curvature * y - 1.0) + (v_des + u[0]) * casadi.cos(theta),
-            (v_des + u[0]) * casadi.sin(theta) - curvature * s * speed,
-            curvature * (v_des - speed) + u[1],
+            speed * (curvature * y - 1.0) + command[0] * casadi.cos(theta),
+            command[0] * casadi.sin(theta) - curvature * s * speed,
+            command[1] - curvature * speed,
             speed,
         )
+        u = command - casadi.vertcat(v_des, v_des * curvature)
         # As everybody's cost does it, whichever way round the robot turns.
         wrapped = theta - 2.0 * math.pi * casadi.floor((theta + math.pi) / (2.0 * math.pi))
         error = casadi.vertcat(s, y, wrapped)
         cost = casadi.bilin(self.state_cost, error, error) + casadi.bilin(self.input_cost, u, u)
-        return casadi.Function("problem", [state, u], [rate, cost, u[1] + curvature * v_des])
+        return casadi.Function("problem", [state, command], [rate, cost])
+
+    def feedforward(self, arc_length: FloatArray) -> FloatArray:
+        """Return [v_ss, w_ss] at arc lengths (T,) [m], shape (T, 2)."""
+        return error_dynamics.feedforward(
+            self.path.curvature(arc_length), self.reference.speed(arc_length)
+        )
+
+    def limits_at_rest(self) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest first command [v, w] (2,) that accelerations allow.
+
+        A command that is held rises at once by what a period allows: half a period ahead of a ramp.
+        """
+        lower, upper = self.rates()
+        half = 0.5 / self.settings.controller.controller_frequency
+        limits = self.settings.limits
+        return np.maximum(half * lower, limits.lower), np.minimum(half * upper, limits.upper)
+
+    def rates(self) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest rate of the command, shape (2,) [m/s^2, rad/s^2]."""
+        motion = self.settings.motion
+        lower = [motion.max_linear_decel, motion.max_angular_accel]
+        return -np.array(lower), np.array([motion.max_linear_accel, motion.max_angular_accel])
 
     def guesses(self, start: FloatArray, time: FloatArray) -> list[Motion]:
         """Return Riccati's motion, a fast and a slow decay; facing backwards, for each turn."""
-        v_des = self.settings.target.desired_speed
-        arc_length = self.start_arc_length + v_des * time
+        arc_length = np.interp(time, self._passing, self._ahead)
         motions = []
         for turned in _windings(start):
             motions.append(self._riccati_motion(turned, time))
@@ -105,26 +161,55 @@ class Problem:
 
     def _riccati_motion(self, start: FloatArray, time: FloatArray) -> Motion:
         """Return the motion of the Riccati policy, with its errors bounded to stay a guess."""
-        target, limits = self.settings.target, self.settings.limits
-        v_des = target.desired_speed
-        solution = riccati_solution(0.0, v_des, target, self.settings.cost)
+        target, limits, motion = self.settings.target, self.settings.limits, self.settings.motion
+        solution = riccati_solution(0.0, target.desired_speed, target, self.settings.cost)
         gain = np.linalg.solve(self.input_cost, solution[[0, 2]])
-        fine = np.arange(0.0, time[-1] + 0.02, 0.02)
+        fine = np.arange(0.0, time[-1] + _STEP, _STEP)
+        command = np.zeros(2)
         state = np.empty((len(fine), 4))
         inputs = np.empty((len(fine), 2))
         state[0] = [*start, self.start_arc_length]
         for step in range(len(fine)):
             curvature = self.path.curvature(state[step, 3])
+            v_des = self.reference.speed(state[step, 3])
             forward = error_dynamics.feedforward(curvature, v_des)
-            inputs[step] = saturate(-gain @ state[step, :3], forward, limits)
+            wanted = within(forward - gain @ state[step, :3], limits)
+            if motion.limited:
+                wanted = limited_command(wanted, command, np.zeros(2), limits, motion, _STEP)
+            command, inputs[step] = wanted, wanted - forward
             if step + 1 < len(fine):
                 zeta = np.append(state[step, :3], 0.0)
                 rate = error_dynamics.drift(zeta, curvature, target, v_des)
                 rate[:3] += (error_dynamics.input_matrix(zeta) @ inputs[step])[:3]
                 speed = error_dynamics.target_speed(zeta, target, v_des)
-                state[step + 1, :3] = np.clip(state[step, :3] + 0.02 * rate[:3], -20.0, 20.0)
-                state[step + 1, 3] = state[step, 3] + 0.02 * speed
+                state[step + 1, :3] = np.clip(state[step, :3] + _STEP * rate[:3], -20.0, 20.0)
+                state[step + 1, 3] = state[step, 3] + _STEP * speed
         return Motion(math.inf, fine, state, inputs).at(time)
+
+
+def _greater(first: Any, second: Any, rounding: float) -> Any:
+    """Return the greater of two expressions, its corner rounded by half of `rounding`."""
+    return 0.5 * (first + second + casadi.sqrt((first - second) ** 2 + rounding**2))
+
+
+def _refuse_unknown(settings: Settings, ends: bool) -> None:
+    """Raise OptimumError for limits, and for a robot that stops, which the optimum cannot tell."""
+    motion, reverses = settings.motion, settings.limits.lower[0] < 0.0
+    if motion.jerk_limited:
+        raise OptimumError(
+            "the optimum knows no limits of jerk: set max_linear_jerk and max_angular_jerk to .inf"
+        )
+    if reverses and motion.max_linear_accel != motion.max_linear_decel:
+        raise OptimumError(
+            "for a robot that may drive backwards the optimum knows one limit of acceleration: set "
+            "max_linear_accel and max_linear_decel to the same, or min_linear_vel to 0"
+        )
+    if ends:
+        raise OptimumError(
+            "the robot stops at the end of the path within half as long again as the horizon, "
+            "after which the optimum is not defined: give a shorter horizon, or set "
+            "max_linear_decel to .inf"
+        )
 
 
 def _windings(start: FloatArray) -> list[FloatArray]:

@@ -11,7 +11,7 @@ from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous
-from adp_path_follower.core.path.speed_profile import SpeedProfile
+from adp_path_follower.core.path.speed_profile import SpeedProfile, speed_from_rest
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.drawing.run_figures import ReferenceMotion
@@ -48,7 +48,8 @@ def cost_over_horizon(
     """
     if not len(time) or time[-1] < COST_HORIZON - 1e-6:
         return math.nan
-    total, motion_cost = 0.0, MotionCost(settings, path, SpeedProfile(path, settings))
+    reference = speed_from_rest(path, settings, arc_lengths[0])
+    total, motion_cost = 0.0, MotionCost(settings, path, reference)
     for step in np.flatnonzero(time[:-1] < COST_HORIZON - 1e-6):
         spent, _ = motion_cost(
             poses[step],
@@ -66,6 +67,7 @@ def is_paper_problem(
     """Return whether the packaged optimum is that of an error [s, y, theta] at `arc_length` [m]."""
     standard = build(Settings, {})
     same_problem = settings.target == standard.target and settings.cost == standard.cost
+    same_problem &= not (settings.motion.limited or SpeedProfile(path, settings).varies)
     place = np.array([arc_length, path.length])
     return bool(
         same_problem

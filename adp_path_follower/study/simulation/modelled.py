@@ -6,7 +6,6 @@ from adp_path_follower.core.control.interface import Controller, ControlOutput
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.speed_profile import SpeedReference
 from adp_path_follower.core.robot.robot import Robot
 from adp_path_follower.core.settings.groups import Settings
 
@@ -21,9 +20,8 @@ class ModelledController:
         """Take the settings of the robot's model, and where the target starts [m], shape (1,)."""
         self.settings, self.path = settings, controller.path
         self._controller, self._robot = controller, Robot(settings)
-        profile = getattr(controller, "profile", None)
-        reference = None if profile is None else SpeedReference(profile, settings)
-        self._target = VirtualTarget(self.path, settings.target, arc_length, reference)
+        self.reference = getattr(controller, "reference", None)
+        self._target = VirtualTarget(self.path, settings.target, arc_length, self.reference)
         self._time = self._then = 0  # [ns]
 
     def step(self, pose: FloatArray, dt: float, motion: FloatArray) -> ControlOutput:

@@ -246,7 +246,7 @@ class _ClosedLoop:
         self._starts, self._controller = starts, controller
         self._robot, self._faults = robot, faults
         self._undisturbed = SimulatorSettings(plant=robot.plant)
-        self._motion_cost = MotionCost(settings, path, getattr(controller, "profile", None))
+        self._motion_cost = MotionCost(settings, path, getattr(controller, "reference", None))
         self._input_cost = settings.cost.input_cost_matrix()
         self._failed = np.zeros(len(starts), dtype=bool)
 

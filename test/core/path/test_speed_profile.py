@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import circle, lissajous, named_path
-from adp_path_follower.core.path.speed_profile import SHARE, SpeedProfile, SpeedReference
+from adp_path_follower.core.path.speed_profile import (
+    SHARE,
+    SpeedProfile,
+    SpeedReference,
+    passing_times,
+    speed_from_rest,
+)
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 
@@ -27,6 +33,20 @@ BEND = Path.from_points(  # 3 m straight on, a quarter of a circle of 0.5 m, 3 m
         *([3.5, y] for y in np.linspace(0.5, 3.5, 121)[1:]),
     ]
 )
+
+
+def test_times_and_speeds_from_rest_are_those_of_a_constant_acceleration():
+    values = {"max_linear_accel": 1.0, "max_linear_vel": 5.0, "desired_speed": 2.0}
+    reference = speed_from_rest(LINE, build(Settings, values), 3.0)
+    slowest = reference.profile.slowest
+    # v^2 = slowest^2 + 2 a run: v grows by a each second.
+    places = 3.0 + np.linspace(0.0, 2.0, 50)
+    times = passing_times(reference, places)
+    np.testing.assert_allclose(reference.speed(places), slowest + SHARE * times, rtol=1e-9)
+    apart = SpeedReference(reference.profile, build(Settings, values))
+    apart.launch(np.array([3.0, 7.0]), np.array([0.0, 1.0]))
+    assert apart.of_robot(0).speed(places) == pytest.approx(reference.speed(places))
+    assert apart.of_robot(1).speed(np.array(7.0)) == pytest.approx(1.0)
 
 
 def profile_of(path, **values):

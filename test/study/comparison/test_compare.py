@@ -15,6 +15,7 @@ import pytest
 
 from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.virtual_target import VirtualTarget
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.library import circle, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
@@ -84,6 +85,30 @@ def test_where_guesses_fail_the_way_of_a_controller_leads_to_the_optimum(monkeyp
     assert found.problems == ()
     assert found.optimal_cost[0] < 24.42
     assert 1.0 - 1e-5 < found.outcomes[0].cost_ratio[0] < 1.001
+
+
+LIMITS = {"max_linear_accel": 1.0, "max_linear_decel": 1.0, "max_angular_accel": 6.0}
+
+
+@pytest.mark.parametrize("limits", [{}, LIMITS], ids=["velocity", "acceleration"])
+def test_nobody_is_better_where_the_speed_varies_along_the_path(monkeypatch, limits):
+    monkeypatch.setattr(comparison, "_LONGEST_LAP", 1.0)
+    settings, path = build(Settings, {"max_lateral_accel": 0.1, **limits}), named_path("lissajous")
+    found = compare(
+        settings, "lissajous", path, STARTS[:1], ["adp", "lqr"], start_arc_length=15.5, duration=9.0
+    )
+    assert found.problems == ()
+    ours, lqr = (float(outcome.cost_ratio[0]) for outcome in found.outcomes)
+    assert 1.0 - 1e-5 < ours < min(1.05, lqr)
+
+
+@pytest.mark.parametrize("setting", ["max_lateral_accel", "max_angular_accel"])
+def test_a_controller_that_knows_no_speed_or_limits_of_the_others_is_refused(monkeypatch, setting):
+    item = Contender("standing", build(Settings, {}), Standing, "frozen", rate=20.0)
+    monkeypatch.setattr(comparison, "contenders", lambda *_: [item])
+    settings, path = build(Settings, {setting: 0.1}), named_path("lissajous")
+    with pytest.raises(AdpError, match="'standing' knows neither a speed that varies"):
+        compare(settings, "lissajous", path, STARTS[:1], ["x"])
 
 
 def test_an_optimum_that_a_controller_undercuts_is_none(monkeypatch):

@@ -340,7 +340,7 @@ def test_nmpc_finds_a_solver_without_a_compiler(monkeypatch):
 
     monkeypatch.setenv("PATH", "")
     settings = build(Settings, {**UNLIMITED, "desired_speed": 0.4})
-    solver = nmpc.horizon_solver(settings.target, settings.cost, settings.limits)
+    solver = nmpc.horizon_solver(settings.target, settings.cost, settings.limits, settings.motion)
     assert solver.name.endswith("not compiled")
 
 
@@ -374,6 +374,29 @@ def test_without_casadi_only_nmpc_is_missing(tmp_path):
     assert done.stdout.splitlines() == [
         "nmpc the peer 'nmpc' needs CasADi: pip install 'adp_path_follower[optimum]'"
     ]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_peer_keeps_to_the_speed_along_the_path_and_to_limits_of_acceleration(name):
+    values = {"max_linear_accel": 0.8, "max_linear_decel": 0.6, "max_angular_accel": 3.0}
+    settings = build(Settings, {**values, "max_lateral_accel": 0.1})
+    path, place = PATHS["lissajous"], np.full(3, 16.0)
+    controller = PEERS[name].factory(settings, path, place)
+    period = 1.0 / (PEERS[name].control_rate or 50.0)
+    pose = pose_in_frame(STARTS, path.frame(place).pose)
+    commands = [np.zeros((3, 2))]
+    for _ in range(round(4.0 / period)):
+        output = controller.step(pose, period)
+        commands.append(output.command)
+        feedforward = output.command - output.modified_input
+        np.testing.assert_allclose(feedforward[:, 1], feedforward[:, 0] * output.curvature)
+        if len(commands) == 2:  # at rest
+            np.testing.assert_allclose(feedforward[:, 0], 0.05)
+        pose = advance_pose(pose, *output.command.T, period)
+    changes = np.diff(commands, axis=0)[1:] / period  # the first may be that of a usual period
+    assert (np.abs(changes[..., 1]) < 3.0 + 1e-9).all()
+    assert changes[..., 0].max() < 0.8 + 1e-9
+    assert changes[..., 0].min() > -0.6 - 1e-9
 
 
 def test_peers_are_named_and_described():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import math
@@ -14,8 +15,9 @@ import pytest
 from commands import adp
 from folders import DATA
 
-pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
+casadi = pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
 
+from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
@@ -38,9 +40,11 @@ EVERY = 8  # of the forty starts; bench/endurance/optima.py solves all
 
 
 @functools.cache  # what is transcribed for one test serves the others
-def solver(path: str = "lissajous", horizon: float = 30.0, **settings: object) -> OptimumSolver:
+def solver(
+    path: str = "lissajous", horizon: float = 30.0, place: float = 0.0, **settings: object
+) -> OptimumSolver:
     built = build(Settings, {**UNLIMITED, **settings})
-    return OptimumSolver(built, named_path(path), horizon=horizon)
+    return OptimumSolver(built, named_path(path), place, horizon)
 
 
 @functools.cache  # so are optima
@@ -89,6 +93,7 @@ def test_agrees_with_the_reference_motion():
         ({"state_cost": (1.0, 0.2, 0.0, 0.2, 2.0, 0.1, 0.0, 0.1, 1.0)}, [0.3, 0.4, -0.5]),
         ({"input_cost": (1.0, 0.3, 0.3, 2.0)}, [0.3, 0.4, -0.5]),
         ({"min_linear_vel": 0.0, "max_linear_vel": 1.0, "max_angular_vel": 1.5}, [1.0, 1.0, 1.0]),
+        ({"max_lateral_accel": 0.1, "place": 15.5}, [0.8, 0.3, 0.3]),
     ],
 )
 def test_collocation_and_costates_agree(settings, start):
@@ -248,13 +253,98 @@ def test_a_check_that_disagrees_is_said(monkeypatch):
     assert "is 0.5418868 by collocation, but 0.5418976 by costates" in done.stderr
 
 
-def test_a_speed_that_varies_along_the_path_is_mentioned():
-    start = ["--horizon", "12", "--start", "0.1", "0.1", "0.1"]
-    assert "v_des varies along this path" not in adp("optimum", *start).stdout
-    for limit in ("max_lateral_accel=0.1", "max_linear_accel=1.0"):
-        done = adp("optimum", *start, "--set", limit)
-        assert done.returncode == 0, done.stderr
-        assert "v_des varies along this path" in done.stdout
+def test_where_the_speed_varies_costates_are_the_gradient_along_the_path_too():
+    start, step, limits = np.array([0.8, 0.3, 0.3]), 1e-2, {"max_lateral_accel": 0.1}
+    here = solver(place=15.5, **limits)
+    extremal = solve_costates(here.problem, here.solve(start).motion)
+    ahead, behind = (
+        solver(place=15.5 + shift, **limits).solve(start).cost for shift in (step, -step)
+    )
+    assert extremal.costates[3] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-3)
+
+
+def test_a_profile_that_is_constant_is_a_constant_speed():
+    """On the circle 0.08 m/s^2 across are 0.4 m/s; near the path J* is e^T P e there."""
+    profile = solver("circle:0.5", max_lateral_accel=0.08)
+    constant = solver("circle:0.5", desired_speed=0.4)
+    assert profile.problem.reference.varies
+    assert not constant.problem.reference.varies
+    for start in (np.array([0.3, 0.4, -0.5]), np.array([3e-3, 2e-3, -1e-3])):
+        expected = constant.solve(start).cost
+        assert profile.solve(start).cost == pytest.approx(expected, rel=1e-6)
+    settings = constant.problem.settings
+    matrix = riccati_solution(0.5, 0.4, settings.target, settings.cost)
+    assert expected == pytest.approx(start @ matrix @ start, rel=1e-2)
+
+
+ACCELERATIONS = {"max_linear_accel": 0.5, "max_linear_decel": 0.5, "max_angular_accel": 1.0}
+
+
+def test_limits_of_acceleration_hold_and_cost():
+    start = (0.5, 0.6, 0.4)
+    limited = solver(place=15.5, horizon=15.0, **ACCELERATIONS)
+    motion = limited.solve(np.array(start)).motion
+    command = motion.modified_input + limited.problem.feedforward(motion.state[:, 3])
+    times = np.arange(0.0, 5.0, 0.2)
+    held = np.stack([np.interp(times, motion.time, column) for column in command.T])
+    fastest = np.abs(np.diff(held) / 0.2).max(axis=1)
+    assert fastest[0] == pytest.approx(0.5, rel=0.01)
+    assert fastest[1] == pytest.approx(1.0, rel=0.01)
+    assert (np.abs(command[0]) < np.array([0.5, 1.0]) * 0.005 + 1e-6).all()  # half of 10 ms
+    assert optimum_from(start).cost * 1.02 < optimum_from(start, max_angular_accel=1.0).cost
+
+
+def test_the_optimum_with_limits_of_acceleration_is_that_of_shooting_with_held_commands():
+    """Poses on a line, commands that change by at most 1 rad/s^2, held for 20 ms each."""
+    count, step, start, v_des = 500, 0.02, (0.2, 0.5, 0.3), 0.5
+    state, held = casadi.SX.sym("state", 4), casadi.SX.sym("held", 2)  # x, y, theta, target
+    along = state[0] - state[3]
+    target_speed = v_des * casadi.cos(state[2]) + 0.1 * along
+    rate = casadi.vertcat(
+        held[0] * casadi.cos(state[2]), held[0] * casadi.sin(state[2]), held[1], target_speed
+    )
+    cost = along**2 + state[1] ** 2 + state[2] ** 2 + (held[0] - v_des) ** 2 + held[1] ** 2
+    rates = casadi.Function("rates", [state, held], [casadi.vertcat(rate, cost)])
+    now = casadi.vertcat(state, casadi.SX.sym("cost"))
+    slopes = [rates(state, held)]
+    for share in (0.5, 0.5, 1.0):
+        slopes.append(rates(state + share * step * slopes[-1][:4], held))
+    after = now + step / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
+    drive = casadi.Function("drive", [now, held], [after]).mapaccum(count)
+    commands = casadi.MX.sym("commands", 2, count)
+    turns = casadi.diff(casadi.horzcat(casadi.MX(1, 1), commands[1, :]), 1, 1)
+    program = {
+        "x": casadi.vec(commands),
+        "f": drive(casadi.DM([start[0], start[1], start[2], 0.0, 0.0]), commands)[4, -1],
+        "g": turns.T,
+    }
+    options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+    options["ipopt.hessian_approximation"] = "limited-memory"
+    shooting = casadi.nlpsol("shooting", "ipopt", program, options)
+    found = shooting(x0=np.tile([v_des, 0.0], count), lbg=-step, ubg=step)
+    limited = solver("line", 10.0, max_angular_accel=1.0, controller_frequency=1.0 / step)
+    assert limited.solve(np.array(start)).cost == pytest.approx(float(found["f"]), rel=1e-4)
+
+
+def test_ways_that_began_elsewhere_lead_to_the_optimum_from_the_start():
+    start = np.array([0.5, 0.6, -0.4])
+    motion = optimum_from(tuple(start)).motion
+    noisy = motion.state + np.array([0.02, -0.03, 0.01 + 2.0 * math.pi, 0.05])
+    found = solver().solve(start, [dataclasses.replace(motion, state=noisy)])
+    assert found.cost == pytest.approx(motion.cost, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"max_angular_jerk": 1.0}, "knows no limits of jerk"),
+        ({"max_linear_accel": 1.0}, "max_linear_accel and max_linear_decel to the same"),
+        ({"path": "line", "place": 90.0, **ACCELERATIONS}, "stops at the end of the path"),
+    ],
+)
+def test_refuses_what_it_does_not_know(settings, message):
+    with pytest.raises(OptimumError, match=message):
+        solver(**settings)
 
 
 def test_the_speed_limit_counts():

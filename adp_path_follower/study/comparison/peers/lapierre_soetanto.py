@@ -48,8 +48,8 @@ class LapierreSoetanto(PeerController):
         speed = self.cruising_speed - gains.speed_gain * s
         limits = self.settings.limits
         speed = np.clip(speed, limits.min_linear_vel, limits.max_linear_vel)
-        target = self.settings.target
-        target_speed = error_dynamics.target_speed(error, target, target.desired_speed)
+        target, v_des = self.settings.target, self.target.v_des
+        target_speed = error_dynamics.target_speed(error, target, v_des)
         level = np.tanh(gains.approach_gain * y)
         approach = -gains.approach_angle * level
         y_rate = speed * np.sin(theta) - frame.curvature * s * target_speed

@@ -21,14 +21,16 @@ class Lqr(PeerController):
     def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
         """Solve the Riccati equation over the path's curvatures."""
         super().__init__(settings, path, arc_length)
-        self._schedule = RiccatiSchedule(path, settings.target, settings.cost)
+        self._schedule = RiccatiSchedule(
+            path, settings.target, settings.cost, self.reference.profile
+        )
         self._input_cost_inverse = settings.cost.inverse_input_cost()
 
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the command of the policy."""
-        v_des = self.settings.target.desired_speed
+        v_des = self.target.v_des
         slope = np.matmul(self._schedule.matrix(frame.curvature, v_des), error[..., None])[..., 0]
         s_slope, y_slope, theta_slope = np.moveaxis(slope, -1, 0)
         theta = error[..., 2]

@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.path.speed_profile import SpeedReference, passing_times
 from adp_path_follower.core.settings.groups import (
     CostSettings,
     LimitSettings,
+    MotionSettings,
     Settings,
     TargetSettings,
 )
@@ -27,7 +30,8 @@ from adp_path_follower.extras import Library
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
 _MOST_PASSES = 3  # of solving again with the curvature where the last pass has the target
-_CURVATURE_REACH = 0.05  # [m] to either side that a parabola of curvature is made for
+_REACH = 0.05  # [m] to either side that parabolas of curvature and speed are made for
+_LEAST_SPEED = 1e-3  # [m/s] whose square a parabola of v_des^2 counts at least
 _FARTHEST = 20.0  # [m]: a robot farther away is taken to be there, where solvers still work
 _NEAR = 0.5  # [m, rad]: from a plan that is farther away than this, no solver is warm-started
 _DECAY = 1.0  # [1/s] of the errors in the first guess
@@ -37,7 +41,7 @@ STEP = 0.1  # [s]
 _MOST_ITERATIONS = 100  # one is enough on the path
 _STATES, _INPUTS = 4, 2
 _STAGE = _STATES + _INPUTS
-_CURVATURE_TERMS = 4  # place, and kappa there with its first two derivatives
+_TERMS = 7  # place, and kappa and v_des^2 there with their first two derivatives
 _QUIET = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
 _IPOPT = {
     **_QUIET,
@@ -85,9 +89,21 @@ class Plan:
         return Plan(self.state + np.array([0.0, 0.0, 2.0 * math.pi * turns, 0.0]), self.command)
 
 
+@dataclass(frozen=True)
+class _Start:
+    """A robot from which a plan begins."""
+
+    state: FloatArray  # s [m], y [m], theta [rad], s_p [m], shape (4,)
+    reach: FloatArray  # lowest and highest command [v, w] that may come first, shape (2, 2)
+    reference: SpeedReference  # its speed along the path
+
+
 @functools.lru_cache(maxsize=8)
 def horizon_solver(
-    target: TargetSettings, cost: CostSettings, limits: LimitSettings
+    target: TargetSettings,
+    cost: CostSettings,
+    limits: LimitSettings,
+    motion: MotionSettings,
 ) -> HorizonSolver:
     """Return the solver for these settings, compiled if there is a compiler.
 
@@ -96,23 +112,25 @@ def horizon_solver(
     from a guess that is metres away; hence IPOPT, 20 to 50 ms, where there is no good plan to start
     from.
     """
-    problem = _transcription(target, cost)
+    problem = _transcription(target, cost, motion.limited)
     fast = casadi.nlpsol("nmpc", "sqpmethod", problem, _SQP)
     careful = casadi.nlpsol("nmpc", "ipopt", problem, _IPOPT)
     compiled = _compiled(fast)
     name = f"sqpmethod, {'not ' * (compiled is None)}compiled"
-    return HorizonSolver(compiled or fast, careful, name, limits)
+    return HorizonSolver(compiled or fast, careful, name, limits, motion)
 
 
 class HorizonSolver:
     """Multiple shooting over the horizon: 30 steps of 0.1 s by RK4, commands held over each.
 
     The decision variables are [s, y, theta, s_p] and the command [v, w], so that limits are plain
-    bounds; the curvature in each step is a parabola in s_p, about where the plan that it starts
-    from has the virtual target in that step.
+    bounds, those of acceleration bounds of differences; curvature and v_des^2 in each step are
+    parabolas in s_p, about where the plan that it starts from has the virtual target in that step.
     """
 
-    def __init__(self, fast: Any, careful: Any, name: str, limits: LimitSettings) -> None:
+    def __init__(
+        self, fast: Any, careful: Any, name: str, limits: LimitSettings, motion: MotionSettings
+    ) -> None:
         """Take CasADi's solvers of the transcription."""
         self._fast, self._careful = fast, careful
         self.name = name
@@ -122,20 +140,29 @@ class HorizonSolver:
         free = np.full(_STATES, math.inf)
         self._lower = np.append(lower.ravel(), -free)
         self._upper = np.append(upper.ravel(), free)
+        changes = (STEPS - 1) * motion.limited
+        rise, fall = motion.max_linear_accel, motion.max_linear_decel
+        if limits.lower[0] < 0.0:  # driving backwards, braking is a rise
+            rise = fall = max(rise, fall)
+        turn, exact = motion.max_angular_accel, np.zeros(_STATES * STEPS)
+        self._least = np.append(exact, np.tile([-STEP * fall, -STEP * turn], changes))
+        self._most = np.append(exact, np.tile([STEP * rise, STEP * turn], changes))
 
     def solve(
         self,
         start: FloatArray,
         guess: Plan,
-        curvature: FloatArray,
+        path: FloatArray,
+        reach: FloatArray,
         terminal: FloatArray,
         careful: bool = False,
     ) -> Plan | None:
         """Return the best plan found from a guess; None if the solver fails.
 
-        `start` is [s, y, theta, s_p], shape (4,). `curvature` has place s_p [m], kappa [1/m],
-        kappa' and kappa'' of each step, shape (N, 4). `terminal` is P of the terminal cost e^T P e,
-        shape (3, 3). `careful` takes the slower, safer solver, for a poor guess.
+        `start` is [s, y, theta, s_p], shape (4,). `path` has the `_TERMS` of each step, shape (N,
+        7). `reach` has the lowest and the highest first command, shape (2, 2). `terminal` is P of
+        the terminal cost e^T P e, shape (3, 3). `careful` takes the slower, safer solver, for a
+        poor guess.
         """
         origin = np.array([0.0, 0.0, 0.0, start[3]])  # s_p from the start: small numbers
         values = np.hstack([guess.state[:-1] - origin, guess.command]).ravel()
@@ -143,12 +170,14 @@ class HorizonSolver:
         values[:_STATES] = start - origin
         lower, upper = self._lower.copy(), self._upper.copy()
         lower[:_STATES] = upper[:_STATES] = start - origin
+        lower[_STATES:_STAGE], upper[_STATES:_STAGE] = reach
         values = np.clip(values, lower, upper)
-        table = curvature - np.array([start[3], 0.0, 0.0, 0.0])
+        table = path - np.append(start[3], np.zeros(_TERMS - 1))
         parameters = np.concatenate([table.ravel(), terminal.ravel()])
         solver = self._careful if careful else self._fast
+        bounds = {"lbg": self._least, "ubg": self._most}
         try:
-            result = solver(x0=values, p=parameters, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
+            result = solver(x0=values, p=parameters, lbx=lower, ubx=upper, **bounds)
         except RuntimeError:
             return None
         found = np.array(result["x"]).ravel()
@@ -159,34 +188,36 @@ class HorizonSolver:
         return Plan(state, stages[:, _STATES:])
 
 
-def _transcription(target: TargetSettings, cost: CostSettings) -> dict[str, Any]:
+def _transcription(target: TargetSettings, cost: CostSettings, limited: bool) -> dict[str, Any]:
     """Return the nonlinear program as CasADi wants it, ordered stage by stage."""
     step = _step_function(target, cost).map(STEPS)
     stages = casadi.MX.sym("stages", _STAGE, STEPS)  # [state, command] of each
     last = casadi.MX.sym("last", _STATES)
-    table = casadi.MX.sym("curvature", _CURVATURE_TERMS, STEPS)
+    table = casadi.MX.sym("path", _TERMS, STEPS)
     terminal = casadi.MX.sym("terminal", 3, 3)
     after, spent = step(stages[:_STATES, :], stages[_STATES:, :], table)
     gaps = casadi.horzcat(stages[:_STATES, 1:], last) - after
+    changes = stages[_STATES:, 1:] - stages[_STATES:, :-1]
     return {
         "x": casadi.vertcat(casadi.vec(stages), last),
         "p": casadi.vertcat(casadi.vec(table), casadi.vec(terminal)),
         "f": casadi.sum2(spent) + casadi.bilin(terminal, last[:3], last[:3]),
-        "g": casadi.vec(gaps),
+        "g": casadi.vertcat(casadi.vec(gaps), *[casadi.vec(changes)] * limited),
     }
 
 
 def _step_function(target: TargetSettings, cost: CostSettings) -> Any:
-    """Return a CasADi function (state, command, curvature) -> (state after a step, its cost)."""
+    """Return a CasADi function (state, command, path) -> (state after a step, its cost)."""
     state, command = casadi.SX.sym("state", _STATES), casadi.SX.sym("command", _INPUTS)
-    table = casadi.SX.sym("curvature", _CURVATURE_TERMS)
-    v_des, gain = target.desired_speed, target.target_gain
+    table = casadi.SX.sym("path", _TERMS)
 
     def rates(now: Any) -> tuple[Any, Any]:
         s, y, theta, arc_length = casadi.vertsplit(now)
         ahead = arc_length - table[0]
         curvature = table[1] + ahead * (table[2] + 0.5 * ahead * table[3])
-        speed = v_des * casadi.cos(theta) + gain * s
+        squared = table[4] + ahead * (table[5] + 0.5 * ahead * table[6])
+        v_des = casadi.sqrt(casadi.fmax(squared, _LEAST_SPEED**2))
+        speed = v_des * casadi.cos(theta) + target.target_gain * s
         rate = casadi.vertcat(
             speed * (curvature * y - 1.0) + command[0] * casadi.cos(theta),
             command[0] * casadi.sin(theta) - curvature * s * speed,
@@ -241,8 +272,12 @@ class Nmpc(PeerController):
     def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
         """Transcribe and compile the solver; once for all with the same numbers."""
         super().__init__(settings, path, arc_length)
-        self._schedule = RiccatiSchedule(path, settings.target, settings.cost)
-        self._solver = horizon_solver(settings.target, settings.cost, settings.limits)
+        self._schedule = RiccatiSchedule(
+            path, settings.target, settings.cost, self.reference.profile
+        )
+        self._solver = horizon_solver(
+            settings.target, settings.cost, settings.limits, settings.motion
+        )
         self.solver = self._solver.name  # such as "sqpmethod, compiled"
         self.failures = 0  # steps of any robot at which no new plan was found
         self._plans: list[Plan | None] = []
@@ -258,19 +293,24 @@ class Nmpc(PeerController):
         flat = starts.reshape(-1, starts.shape[-1])
         if len(self._plans) != len(flat):
             self._plans = [None] * len(flat)
+        reach = np.swapaxes(self.reach(len(flat)), 0, 1)
+        robots = [
+            _Start(start, ends, self.reference.of_robot(number))
+            for number, (start, ends) in enumerate(zip(flat, reach, strict=True))
+        ]
         plans = [
-            self._plan(start, None if last is None else last.after(dt))
-            for start, last in zip(flat, self._plans, strict=True)
+            self._plan(robot, None if last is None else last.after(dt))
+            for robot, last in zip(robots, self._plans, strict=True)
         ]
         self._plans = list(plans)
         commands = np.array([plan.command[0] for plan in plans])
         return commands.reshape(*pose.shape[:-1], 2)
 
-    def _plan(self, start: FloatArray, shifted: Plan | None) -> Plan:
-        """Return the plan from [s, y, theta, s_p], shape (4,), given the last one until now."""
+    def _plan(self, start: _Start, shifted: Plan | None) -> Plan:
+        """Return the plan of a robot, given its last one until now."""
         if shifted is not None:
-            shifted = shifted.turned_to(start[2])
-            if np.abs(shifted.state[0] - start).max() < _NEAR:
+            shifted = shifted.turned_to(start.state[2])
+            if np.abs(shifted.state[0] - start.state).max() < _NEAR:
                 found = self._solve(start, shifted, careful=False)
                 if found is not None:
                     return found
@@ -281,36 +321,40 @@ class Nmpc(PeerController):
         self.failures += 1
         return guess if shifted is None else shifted
 
-    def _solve(self, start: FloatArray, guess: Plan, careful: bool) -> Plan | None:
-        """Return the best plan from a start, with the curvature along that plan itself."""
+    def _solve(self, start: _Start, guess: Plan, careful: bool) -> Plan | None:
+        """Return the best plan from a start, with curvature and speed along that plan itself."""
         for _ in range(_MOST_PASSES):
             places = 0.5 * (guess.state[1:, 3] + guess.state[:-1, 3])
-            end = self.path.curvature(guess.state[-1, 3])
-            terminal = self._schedule.matrix(end, self.settings.target.desired_speed)
-            curvature = self._curvature(places)
-            found = self._solver.solve(start, guess, curvature, terminal, careful)
+            end = guess.state[-1, 3]
+            terminal = self._schedule.matrix(self.path.curvature(end), start.reference.speed(end))
+            along = self._along(places, start.reference)
+            found = self._solver.solve(start.state, guess, along, start.reach, terminal, careful)
             if found is None:
                 return None
             guess = found
             moved = 0.5 * (guess.state[1:, 3] + guess.state[:-1, 3]) - places
-            if np.abs(moved).max() < _CURVATURE_REACH:
+            if np.abs(moved).max() < _REACH:
                 break
         return guess
 
-    def _curvature(self, places: FloatArray) -> FloatArray:
-        """Return [s_p, kappa, kappa', kappa''] at arc lengths (N,), shape (N, 4)."""
-        reach = _CURVATURE_REACH
-        behind, here, ahead = self.path.curvature(places + np.array([[-reach], [0.0], [reach]]))
-        slope = (ahead - behind) / (2.0 * reach)
-        bend = (ahead - 2.0 * here + behind) / reach**2
-        return np.column_stack([places, here, slope, bend])
+    def _along(self, places: FloatArray, reference: SpeedReference) -> FloatArray:
+        """Return the `_TERMS` at arc lengths (N,) [m], shape (N, 7)."""
+        around = places + np.array([[-_REACH], [0.0], [_REACH]])
+        squared = np.square(np.broadcast_to(reference.speed(around), around.shape))
+        columns = [places]
+        for behind, here, ahead in (self.path.curvature(around), squared):
+            bend = (ahead - 2.0 * here + behind) / _REACH**2
+            columns += [here, (ahead - behind) / (2.0 * _REACH), bend]
+        return np.column_stack(columns)
 
-    def _guess(self, start: FloatArray) -> Plan:
+    def _guess(self, start: _Start) -> Plan:
         """Return a plan on which the errors die away and the robot just drives on."""
-        v_des = self.settings.target.desired_speed
         time = STEP * np.arange(STEPS + 1)
-        error = np.exp(-_DECAY * time)[:, None] * start[:3]
-        arc_length = start[3] + v_des * time
-        turn = v_des * self.path.curvature(arc_length[:-1])
-        command = np.column_stack([np.full(STEPS, v_des), turn])
+        error = np.exp(-_DECAY * time)[:, None] * start.state[:3]
+        reference = start.reference
+        places = np.linspace(0.0, reference.profile.highest * time[-1], 10 * STEPS + 1)
+        places += start.state[3]
+        arc_length = np.interp(time, passing_times(reference, places), places)
+        here = arc_length[:-1]
+        command = error_dynamics.feedforward(self.path.curvature(here), reference.speed(here))
         return Plan(np.column_stack([error, arc_length]), command)

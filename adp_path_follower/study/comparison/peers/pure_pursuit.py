@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 from adp_path_follower.core.geometry import FloatArray, contiguous, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.nearest import place_near
-from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
 _LEAST_CARROT_SQUARED = 1e-3  # [m^2]: nearer than this there is no arc to it (Nav2)
@@ -80,16 +79,12 @@ class RegulatedPurePursuit(PeerController):
 
     rules = RegulationRules()
 
-    def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
-        super().__init__(settings, path, arc_length)
-        # In place of the odometry's twist, which Nav2 takes.
-        self._twist = np.zeros(2)
-
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the regulated speed along the arc to the point ahead, or a turn in place."""
-        twist = np.broadcast_to(self._twist, (*pose.shape[:-1], 2))
+        # The last command, in place of the odometry's twist, which Nav2 takes.
+        twist = np.broadcast_to(self._actuation.command, (*pose.shape[:-1], 2))
         self.place = place_near(self.path, pose, self.place)
         carrot = _carrot(self.path, pose, self.place, self.lookahead(twist[..., 0]))
         curvature = pursuit_curvature(carrot)
@@ -98,10 +93,7 @@ class RegulatedPurePursuit(PeerController):
         turning = np.abs(bearing) > self.rules.rotate_to_heading_min_angle
         linear = np.where(turning, 0.0, speed)
         turn = self._turn_in_place(bearing, twist[..., 1], dt if dt > 0.0 else _NAV2_PERIOD)
-        command = np.stack([linear, np.where(turning, turn, speed * curvature)], axis=-1)
-        limits = self.settings.limits
-        self._twist = np.clip(command, limits.lower, limits.upper)
-        return command
+        return np.stack([linear, np.where(turning, turn, speed * curvature)], axis=-1)
 
     def lookahead(self, speed: FloatArray) -> FloatArray:
         """Return the look-ahead distance [m] at speeds [m/s], same shape."""

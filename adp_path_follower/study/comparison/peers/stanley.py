@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, tracking_error
+from adp_path_follower.core.geometry import FloatArray, Number, tracking_error
 from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.core.path.nearest import place_near
 from adp_path_follower.study.comparison.peers.peer import PeerController
+
+_LEAST_SPEED = 1e-3  # [m/s]: the law divides by the speed
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class StanleyGains:
 
 
 def steering_angle(
-    heading_error: FloatArray, cross_track: FloatArray, speed: float, gains: StanleyGains
+    heading_error: FloatArray, cross_track: FloatArray, speed: Number, gains: StanleyGains
 ) -> FloatArray:
     """Return delta = -theta - arctan(k y / v) without curvature and limits [rad], same shape."""
     return np.asarray(-heading_error - np.arctan(gains.position_gain * cross_track / speed))
@@ -46,7 +48,7 @@ class Stanley(PeerController):
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return v_des and the turn of the virtual bicycle."""
-        gains, speed = self.gains, self.cruising_speed
+        gains, speed = self.gains, np.maximum(self.cruising_speed, _LEAST_SPEED)
         reference = pose.copy()
         if gains.at_front_axle:
             reference[..., 0] += gains.wheelbase * np.cos(pose[..., 2])
@@ -59,7 +61,7 @@ class Stanley(PeerController):
             steering = steering + np.arctan(gains.wheelbase * place.curvature)
         steering = np.clip(steering, -gains.max_steering, gains.max_steering)
         turn = speed * np.tan(steering) / gains.wheelbase
-        return np.stack([np.full_like(turn, speed), turn], axis=-1)
+        return np.stack([np.full_like(turn, self.cruising_speed), turn], axis=-1)
 
 
 class TunedStanley(Stanley):
