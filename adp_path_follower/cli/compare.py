@@ -78,8 +78,9 @@ def compare(
 
     Every controller runs from the same starts (forty, with |s|, |y| <= 1 m and |θ| <= 60°, if none
     are given) for the cost J, and one lap from the paper's start for the cross-track error. A run
-    has failed if it was lost or ended more than 0.5 m from the path. Needs no ROS; about four
-    minutes for each path, most of it for nmpc and the optimum.
+    has failed if it was lost or ended more than 0.5 m from the path. All have the same speed along
+    the path and limits of acceleration, from rest on; limits of jerk are refused. Needs no
+    ROS; about four minutes for each path, most of it for nmpc and the optimum.
 
     \b
     The headline:       adp compare --unlimited

@@ -82,9 +82,10 @@ def optimum(
     r"""Find what the best controller would cost, by offline optimal control.
 
     Legendre-Gauss-Radau collocation on a graded mesh, solved by IPOPT from several starting
-    guesses, among them the controller's own motion. Speed, gains, cost and limits are those of the
-    parameters (the paper's, without limits, if none are given). How much J* changes with twice as
-    many mesh intervals, and with a horizon half as long again, stands beside it.
+    guesses, among them the controller's own motion. Speed along the path, gains, cost and limits
+    (but of jerk) are those of the parameters (the paper's, without limits, if none are given). How
+    much J* changes with twice as many mesh intervals, and with a horizon half as long again, stands
+    beside it.
 
     \b
     The paper's start:
@@ -92,6 +93,8 @@ def optimum(
     With limits, before a sharp bend:
         adp optimum --params config/default.yaml --start 0.5 -0.5 1 \
             --start-arc-length 15
+
+    With limits of acceleration the robot starts from rest, and --check knows none.
 
     Exit code 1 if a start has no converged optimum, J* changes with the horizon by more than 1e-4
     of itself, or --check differs by more than 1e-5; it is named, the others are still written.
