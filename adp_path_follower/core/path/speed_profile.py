@@ -25,6 +25,7 @@ from adp_path_follower.core.settings.groups import Settings, TargetSettings
 SHARE = 0.8  # eta: of accelerations and angular velocity; the rest is for corrections
 _SLOWEST = 0.05  # [m/s], and ...
 _SLOWEST_SHARE = 0.25  # ... of the highest speed: below, models take this for the speed
+_UNLIKE = 0.1  # share by which a ramp differs from another one
 _TURNING = 0.05  # [m] over which the change of curvature is taken
 
 
@@ -64,16 +65,29 @@ class SpeedProfile:
             squared[-1] = 0.0
         bend = np.abs(curvature)
         bend = np.maximum(np.maximum(bend[:-1], bend[1:]), 1e-12)  # between two nodes
-        if self._closed:  # the middle lap of three sees a lap before and after it
-            squared = np.concatenate([squared[:-1], squared[:-1], squared])
-            bend = np.tile(bend, 3)
         turning = 0.5 * SHARE * motion.max_angular_accel / bend
         rise = 2.0 * self._step * np.minimum(SHARE * motion.max_linear_accel, turning)
         fall = 2.0 * self._step * np.minimum(SHARE * motion.max_linear_decel, turning)
+        self._squared = self._reachable(squared, rise, fall)
+        self.varies = bool((self._squared != self._desired**2).any())
+
+    def _reachable(self, squared: FloatArray, rise: FloatArray, fall: FloatArray) -> FloatArray:
+        """Return v_des^2 (N,) that rises and falls by no more than that between nodes (N - 1,)."""
+        pieces = len(rise)
+        if self._closed:  # the middle lap of three sees a lap before and after it
+            squared = np.concatenate([squared[:-1], squared[:-1], squared])
+            rise, fall = np.tile(rise, 3), np.tile(fall, 3)
         squared = _at_most_rising_by(squared, rise)
         squared = _at_most_rising_by(squared[::-1], fall[::-1])[::-1]
-        self._squared = squared[pieces : 2 * pieces + 1] if self._closed else squared
-        self.varies = bool((self._squared != self._desired**2).any())
+        return squared[pieces : 2 * pieces + 1] if self._closed else squared
+
+    def within(self, ramp: float) -> SpeedProfile:
+        """Return the profile for a robot whose speed changes no faster than a ramp [m/s^2]."""
+        other = copy.copy(self)
+        most = np.full(len(self._squared) - 1, 2.0 * self._step * SHARE * ramp)
+        other._squared = self._reachable(self._squared, most, most)
+        other.varies = bool((other._squared != self._desired**2).any())
+        return other
 
     def same_as(self, other: SpeedProfile) -> bool:
         """Return whether the speeds are the same everywhere."""
@@ -140,7 +154,8 @@ class SpeedReference:
     def __init__(self, profile: SpeedProfile, settings: Settings) -> None:
         """Take the accelerations; the profile holds from the start until `launch` is called."""
         motion = settings.motion
-        self.profile, self.stops = profile, profile.stops
+        self._full = self.profile = profile
+        self.stops, self._ramp = profile.stops, math.inf
         self.rise = 2.0 * SHARE * motion.max_linear_accel
         self._fall = 2.0 * SHARE * motion.max_linear_decel
         self._limited = math.isfinite(self.rise) or math.isfinite(self._fall)
@@ -164,6 +179,11 @@ class SpeedReference:
             start, squared = map(np.ravel, np.broadcast_arrays(*self.start))
             other.start = (start[number % len(start)], squared[number % len(start)])
         return other
+
+    def keep_within(self, ramp: float) -> None:
+        """Change the speed no faster than a ramp [m/s^2] that the robot seems to have."""
+        if abs(1.0 / ramp - 1.0 / self._ramp) > _UNLIKE / self._ramp:
+            self._ramp, self.profile = ramp, self._full.within(ramp)
 
     def speed(self, arc_length: FloatArray) -> Number:
         """Return v_des at arc lengths (...) [m], as `SpeedProfile.speed`."""

@@ -186,3 +186,22 @@ def test_nothing_is_to_be_reached_where_accelerations_have_no_limit():
     reference = SpeedReference(SpeedProfile(LINE, tuning), tuning)
     reference.launch(np.asarray(7.0), np.asarray(0.0))
     assert reference.speed(np.asarray(7.0)) == tuning.target.desired_speed
+
+
+def test_a_robot_that_changes_its_speed_slowly_brakes_before_a_bend():
+    tuning, ramp = build(Settings, {"max_lateral_accel": 0.1}), 0.4
+    profile = SpeedProfile(BEND, tuning)
+    reference, place = SpeedReference(profile, tuning), np.linspace(2.5, 2.95, 10)
+    before = reference.speed(place)
+    reference.keep_within(ramp)
+    expected = np.sqrt(0.1 * 0.5 + 2.0 * SHARE * ramp * (3.0 - place))
+    np.testing.assert_allclose(reference.speed(place), np.minimum(0.5, expected), rtol=0.06)
+    assert not reference.stops  # at the end of the path
+    reference.keep_within(1.05 * ramp)
+    np.testing.assert_allclose(reference.speed(place), np.minimum(0.5, expected), rtol=0.06)
+    reference.keep_within(math.inf)
+    np.testing.assert_array_equal(reference.speed(place), before)
+    limited = profile_of(EIGHT, max_lateral_accel=0.1, max_linear_accel=ramp, max_linear_decel=ramp)
+    slow = profile_of(EIGHT, max_lateral_accel=0.1).within(ramp)
+    round_and_round = np.linspace(0.0, 2.0 * EIGHT.length, 999)
+    np.testing.assert_array_equal(slow.speed(round_and_round), limited.speed(round_and_round))

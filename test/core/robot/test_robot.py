@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from drives import drive, ours, start_pose
-from paths import bend
+from paths import bend, corners
 from plants import AnalyticPlant
 from robots import TYPICAL, Robot
 
@@ -19,6 +19,7 @@ from adp_path_follower.core.settings.schema import build
 
 PATH = bend()
 START = (0.0, 0.1, -0.2)
+KINDS = ("learned", "ideal")
 
 
 def settings(model="learned", **values):
@@ -168,6 +169,15 @@ def test_it_is_held_on_the_path_against_what_its_model_does_not_know():
         tuning = settings("given", robot_lags=(0.1, 0.1), tight_within=tight_within)
         found.append(run(robot, tuning=tuning).rms)
     assert found[1] < 0.5 * found[0]
+
+
+def test_a_slow_robot_brakes_before_corners():
+    robot = Robot(track=0.4, ramp=1.3, lag=0.1, delay=0.1)
+    found = {
+        model: run(robot, 12.0, corners(), settings(model, desired_speed=1.0)) for model in KINDS
+    }
+    assert found["learned"].rms < 0.3 * found["ideal"].rms
+    assert found["learned"].cost < found["ideal"].cost
 
 
 def test_the_robot_is_saved_with_the_weights():
