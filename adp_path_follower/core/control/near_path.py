@@ -3,7 +3,7 @@
 No model knows slip, uneven floors and the last per cent of the wheels. They push the robot beside
 the path, where a quadratic cost hardly asks it to return: 1 cm costs next to nothing. Therefore the
 Riccati policy of a cost with a larger weight of y is added within `tight_within` of the path, less
-that of the cost itself. Farther away the addition stays what it is there.
+that of the cost itself. Farther away it fades: there the cost decides how to come to the path.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 
-_WEIGHT = 30.0  # [1/m^2] of y at least, as a multiple of the cost of the turn rate
+_WEIGHT = 120.0  # [1/m^2] of y at least, as a multiple of the cost of the turn rate
 
 
 class NearPath:
@@ -41,11 +41,12 @@ class NearPath:
         """Return the input u (..., 2) and the turn that the larger cost adds to it.
 
         It is -R^-1 [0, dP_theta [0, y, theta]] with the difference dP of both Riccati solutions,
-        and y and theta of the state zeta (..., 4) shortened to `tight_within`.
+        and y and theta of the state zeta (..., 4), times the square of `tight_within` by their size
+        beyond it.
         """
         sideways = zeta[..., 1:3]
         size = np.sqrt((sideways * sideways).sum(axis=-1, keepdims=True))
-        near = sideways * (self._reach / np.maximum(size, self._reach))
+        near = sideways * (self._reach / np.maximum(size, self._reach)) ** 2
         more = self._more.matrix(curvature, feedforward[..., 0])[..., 2, 1:3]
         turn = (more * near).sum(axis=-1, keepdims=True)
         return saturate(u - turn * self._inverse[:, 1], feedforward, self._limits)

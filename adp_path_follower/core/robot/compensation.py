@@ -3,7 +3,8 @@
 With commands v_c = v + (V - v) lag / tau the wheels follow the wanted V by a lag tau of our choice.
 Then x + tau x', y + tau y', theta + tau theta' move as an ideal unicycle that is told V and W: the
 controller is asked for that pose, at now + delay + tau. A tau below the lag inverts the lag with
-every error of the estimate; tau = lag waits for it.
+every error of the estimate; tau = lag waits for it. Commands change no faster than the firmware's
+ramps let them: a speed that runs ahead of its ramp leaves no room for a turn.
 """
 
 import math
@@ -45,6 +46,18 @@ def compensated(
             acting.w + share * (w - acting.w) / _answer(period, model.angular_lag),
         ]
     )
+
+
+def let_through(
+    model: RobotModel, command: FloatArray, reached: FloatArray, period: float
+) -> FloatArray:
+    """Return how far the ramps of the wheels let a command through in a period [s], (2,) each.
+
+    Each wheel has one ramp for v and w, which therefore change in proportion.
+    """
+    change = command - reached
+    time = abs(float(change[0])) / model.ramp + abs(float(change[1])) / model.angular_ramp
+    return reached + change * (period / time) if time > period else command
 
 
 def _answer(period: float, lag: float) -> float:

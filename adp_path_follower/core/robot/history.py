@@ -3,6 +3,9 @@
 import math
 from bisect import bisect_right
 
+import numpy as np
+
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.robot.model import Held
 
 _MEMORY = 2.5  # [s]
@@ -34,6 +37,10 @@ class CommandHistory:
             old = bisect_right(self._times, time - _MEMORY) - 1
             if old > 0:
                 del self._times[:old], self._sent[:old]
+
+    def reached(self, time: float) -> FloatArray:
+        """Return the velocities set by the last command at a time [s], (2,)."""
+        return np.array(self._reached(len(self._times) - 1, time) if self._times else (0.0, 0.0))
 
     def held(self, start: float, end: float) -> list[Held]:
         """Return what acts of the commands sent between two times [s], and for how long each."""

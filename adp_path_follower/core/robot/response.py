@@ -21,6 +21,8 @@ _SLOWNESS = np.array(
 )
 _ANGULAR_SLOWNESS = np.array([0, 0.03, 0.06, 0.1, 0.14, 0.19, 0.25, 0.33, 0.45])  # [s^2/rad]
 _SLOW = (_SLOWNESS, _ANGULAR_SLOWNESS)
+_LEVER, _LEVERS = 6.0, 0.4  # [1/m] of angular by linear ramps, usually, and how far robots differ
+_NO_SLOWNESS = 1e-3  # [s^2/rad]
 _DOUBT = (0.2, 3.0)  # logarithm of how much likelier no ramp is: every drive has a launch
 _COUNTS = (len(_SLOWNESS), len(_ANGULAR_SLOWNESS))
 with np.errstate(divide="ignore"):
@@ -205,6 +207,9 @@ class ResponseBank:
         lag_v, lag_v_spread = _moments(joint.sum(axis=(0, 2)), _LAGS)
         lag_w, lag_w_spread = _moments(joint.sum(axis=(0, 1)), _LAGS)
         ramp = _ramp(joint.sum(axis=2), p_v, _SLOWNESS)
+        if ramp < math.inf:  # the wheels have one, and so does the turn
+            unlike = np.log(np.maximum(_ANGULAR_SLOWNESS, _NO_SLOWNESS) * _LEVER * ramp) / _LEVERS
+            p_w = p_w * np.exp(-0.5 * unlike * unlike)
         angular_ramp = _ramp(joint.sum(axis=1), p_w, _ANGULAR_SLOWNESS)
         spreads = (delay_spread, lag_v_spread, lag_w_spread)
         return Response(delay, lag_v, lag_w, ramp, angular_ramp, spreads)

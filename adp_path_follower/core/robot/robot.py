@@ -8,7 +8,12 @@ import numpy as np
 
 from adp_path_follower.core.control.actuation import limited_command
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.robot.compensation import compensated, ideal_state, lag_left
+from adp_path_follower.core.robot.compensation import (
+    compensated,
+    ideal_state,
+    lag_left,
+    let_through,
+)
 from adp_path_follower.core.robot.estimator import StateEstimator
 from adp_path_follower.core.robot.history import CommandHistory
 from adp_path_follower.core.robot.model import RobotModel, RobotState, advanced
@@ -21,6 +26,7 @@ _REVIEW = 0.2  # [s] between two looks at the bank
 _LONGEST_GAP = 1.0  # [s] between two steps of a robot that was controlled all the time
 _SHORTEST_PERIOD = 1e-6  # [s]
 _LONGEST_PERIOD = 0.1  # [s]: after a pause a command does not make up for it
+_GRIP = 2.0  # [m/s^2] that motors and floors give to most robots
 _CLIPPED = 0.02  # [m/s, rad/s] by which a limit changes a command
 
 
@@ -115,6 +121,11 @@ class Robot:
     def ideal(self) -> bool:
         """Return whether the last step took the robot for an ideal one."""
         return self._acting is None or self.model.ideal
+
+    @property
+    def acceleration(self) -> float:
+        """Return how fast its speed may change along a path [m/s^2]; an ideal one's at once."""
+        return math.inf if self.ideal else min(self.model.ramp, _GRIP)
 
     @property
     def learned(self) -> tuple[float, ...]:
@@ -218,6 +229,7 @@ class Robot:
         found = compensated(self.model, self._acting, wanted, self._ahead, self._period)
         limits = settings.limits
         command = np.minimum(np.maximum(found, limits.lower), limits.upper)
+        command = let_through(self.model, command, self._history.reached(self._now), self._period)
         if settings.motion.limited:
             last = np.array(self._history.last)
             command = limited_command(

@@ -4,9 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from plants import STEP, Firmware
+from robots import Robot
 from scipy.integrate import solve_ivp
 
-from adp_path_follower.core.robot.compensation import compensated, ideal_state, lag_left
+from adp_path_follower.core.robot.compensation import (
+    compensated,
+    ideal_state,
+    lag_left,
+    let_through,
+)
 from adp_path_follower.core.robot.history import CommandHistory
 from adp_path_follower.core.robot.model import IDEAL, RobotModel, RobotState, advanced
 
@@ -92,3 +99,19 @@ def test_without_a_lag_the_command_is_the_wheels_velocity():
     wanted = np.array([0.5, -0.3])
     found = compensated(IDEAL, RobotState(0.0, 0.0, 0.0), wanted, lag_left(IDEAL), 0.01)
     assert found.tolist() == wanted.tolist()
+
+
+def test_wheels_with_a_ramp_change_speed_and_turn_together():
+    robot, period = Robot(track=0.4, ramp=1.5), 0.01
+    ramp, angular_ramp = robot.ramps
+    model, firmware = RobotModel(ramp=ramp, angular_ramp=angular_ramp), Firmware(robot)
+    wanted, reached, together = np.array([0.6, -1.2]), np.zeros(2), []
+    for _ in range(70):
+        reached = let_through(model, wanted, reached, period)
+        for _ in range(round(period / STEP)):
+            left, right = firmware.step(reached)
+        together.append([0.5 * (left + right), (right - left) / robot.track])
+    shares = np.array(together) / wanted
+    np.testing.assert_allclose(shares[:, 0], shares[:, 1], atol=1e-9)
+    soonest = (0.6 + 0.2 * 1.2) / 1.5  # of the right wheel, which changes most
+    assert np.searchsorted(shares[:, 0], 0.999) * period == pytest.approx(soonest, abs=0.01)
