@@ -67,6 +67,7 @@ class StateEstimator:
             self._covariances[:, _GAINS, _GAINS] = _GAINS_START
         self._evidence = np.zeros(_COUNT)  # logarithms of the weights
         self._outliers, self._share = 0, _EARLY
+        self._left: FloatArray = np.zeros((_COUNT, 5))  # of the last surprises
         self._mix()
         # The effect of a change of v or w halfway between two messages until the second.
         self._pushes = np.zeros((8, 2))
@@ -236,8 +237,14 @@ class StateEstimator:
             self._learn_noise(surprise - correction[:, :5], jumps)
 
     def _learn_noise(self, left: FloatArray, jumps: FloatArray) -> None:
-        """Learn the noise of a message from what is left of surprises (N, 5) after correction."""
-        found = self._weights @ (left * left + self._covariances[:, range(5), range(5)])
+        """Learn the noise of a message from what is left of surprises (N, 5) after correction.
+
+        Noise has no memory: what is left alike of two messages is a fault of the state.
+        """
+        found = self._weights @ (
+            left * (left - self._left) + self._covariances[:, range(5), range(5)]
+        )
+        self._left = left
         found[3:] = np.minimum(found[3:], _MOST_NOISE)
         found[3:] = np.where(jumps.any(axis=0), self.noise[3:], found[3:])
         found[:2] = 0.5 * (found[0] + found[1])

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from drives import drive, ours, start_pose
+from margins import Faulty, driven
 from paths import bend, corners
 from plants import AnalyticPlant
 from robots import TYPICAL, Robot
@@ -135,6 +136,14 @@ def test_encoders_with_the_wrong_sign_do_no_more_harm_than_before():
         found[model] = drive(plant, ours(tuning, PATH), PATH, tuning, 16.0)
     assert math.isfinite(found["learned"].cost)
     assert found["learned"].rms < max(0.02, 1.3 * found["ideal"].rms)
+
+
+@pytest.mark.parametrize("fault", ["slip", "carried", "jump", "dropout"])
+def test_a_fault_is_not_taken_for_the_robot(fault):
+    plant = type("Plant", (Faulty,), {"kind": fault})
+    learned, ideal = (driven(kind, plant, TYPICAL) for kind in KINDS)
+    assert learned.cost < ideal.cost
+    assert learned.rms < ideal.rms
 
 
 def held(driver, pose, begun, seconds):
