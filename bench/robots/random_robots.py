@@ -6,18 +6,17 @@
 J is taken along the true motion; distances are those of the true pose after 8 s. "Best" means at
 least as good as every variant of every peer on that robot, so each peer is tuned for each robot.
 
-200 robots on MuJoCo (mujoco_results.json; a cache that a longer run may go on from):
+Robots on MuJoCo (mujoco_results.json has `ideal` and the peers of 200; with it as the cache, others
+are driven and added):
 
 | contender | best in J | in RMS | in both | worst J | worst RMS | median RMS [mm] | variation |
 |---|---|---|---|---|---|---|---|
-| ideal | 42 % | 3 % | 3 % | 2.34 | 18.4 | 32.4 | 1.17 |
-| learned | 96 % | 90 % | 86 % | 1.52 | 2.63 | 3.1 | 0.59 |
-| known | 90 % | 94 % | 86 % | 1.34 | 2.44 | 2.3 | 0.50 |
-| best peer | | | | | | 7.2 | |
+| ideal (200) | 42 % | 3 % | 3 % | 2.34 | 18.4 | 32.4 | 1.17 |
+| learned (0 to 73) | 99 % | 95 % | 93 % | 1.55 | 1.17 | 2.6 | 0.80 |
+| best peer (200) | | | | | | 7.2 | |
 
-Worst are ratios to the best peer's. Learned and known robots lose in RMS at right-angled corners at
-1 m/s, where the accelerations are too low and the least J is not the least distance, and where the
-pose has 1 to 2 cm of noise. They lose in J where it is small, and the launch is most of it.
+Worst are ratios to the best peer's. Learned robots lose in RMS where the pose has 1 to 2 cm of
+noise, and in J where it is small, and the launch is most of it.
 """
 
 from __future__ import annotations
