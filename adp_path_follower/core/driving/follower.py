@@ -159,7 +159,7 @@ class PathFollower:
 
     def keep_within(self, ramp: float) -> None:
         """Change the speed along the path no faster than a ramp of the robot [m/s^2]."""
-        self._reference.keep_within(ramp)
+        self.reference.keep_within(ramp)
 
     def lead(self, pose: FloatArray, ahead: FloatArray, time: float) -> None:
         """Let the target move on before the first step, as commands take a time [s] to act.
