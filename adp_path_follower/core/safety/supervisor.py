@@ -157,53 +157,36 @@ class Supervisor:
     def _fault(self, now: float) -> Status | None:
         """Return the status of a fault, None if there is none."""
         assert self._odometry_time is not None  # else it is waited for
-        timeout = self.odom_timeout
+        timeout, tick = self.odom_timeout, self.tick_time
+        silent = now - self._odometry_time > timeout
+        late = tick is not None and now - tick > timeout
         faults = (
             (
-                now - self._odometry_time > timeout,
-                f"no odometry for more than {timeout:g} s",
+                f"no odometry for more than {timeout:g} s" if silent else "",
                 "check the odometry source; the robot resumes when it returns",
                 Kind.INPUT,
             ),
             (
-                self.tick_time is not None and now - self.tick_time > timeout,
-                f"no control step for more than {timeout:g} s",
+                f"no control step for more than {timeout:g} s" if late else "",
                 "check /clock, which may stand still; the robot resumes with it",
                 Kind.LATE,
             ),
+            (self.deviation, f"check the robot, then {_RESUME}", Kind.DEVIATION),
             (
-                bool(self.deviation),
-                self.deviation,
-                f"check the robot, then {_RESUME}",
-                Kind.DEVIATION,
-            ),
-            (
-                bool(self._odometry_problem),
                 self._odometry_problem,
                 "check the odometry source; the robot resumes with sound messages",
                 Kind.INPUT,
             ),
+            (self.command_problem, "the robot resumes with the next odometry", Kind.COMMAND),
             (
-                bool(self.command_problem),
-                self.command_problem,
-                "the robot resumes with the next odometry",
-                Kind.COMMAND,
-            ),
-            (
-                bool(self.limit_problem),
                 self.limit_problem,
                 "the robot resumes with a speed limit above 0; to stop it, call ~/stop",
                 Kind.INPUT,
             ),
-            (
-                bool(self.goal_problem),
-                self.goal_problem,
-                f"publish another path, or {_RESUME} to try again",
-                Kind.PROGRESS,
-            ),
+            (self.goal_problem, f"publish another path, or {_RESUME} to try again", Kind.PROGRESS),
         )
-        for holds, cause, remedy, kind in faults:
-            if holds:
+        for cause, remedy, kind in faults:
+            if cause:
                 return Status(State.FAULT, cause, remedy, kind)
         return None
 
