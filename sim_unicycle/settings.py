@@ -1,29 +1,39 @@
 """Settings of the simulator, and robots by name: those of config/robots, with their sources."""
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.robot.model import RobotModel
 from adp_path_follower.core.settings.parameter_file import read_parameters
 from adp_path_follower.core.settings.robot import bias_setting, gains_setting
-from adp_path_follower.core.settings.schema import POSITIVE, build, setting
+from adp_path_follower.core.settings.schema import POSITIVE, build, limit, setting
 from adp_path_follower.resources import shipped_file
 
 _WIRING = "the node's topics and timers are made from it"
 _START = "it is where the run starts; call ~/reset to start again"
 
 
+def _imperfection(doc: str, **spec: Any) -> Any:
+    """Declare a property that an ideal robot has none of."""
+    return setting(0.0, doc, low=0.0, **spec)
+
+
+def _offset(default: Any, doc: str, most: float, **spec: Any) -> Any:
+    """Declare a number, or several, that may be as large to either side."""
+    return setting(default, doc, low=-most, high=most, **spec)
+
+
 @dataclass(frozen=True)
 class StartSettings:
     """Start."""
 
-    x: float = setting(0.0, "Initial x.", unit="m", low=-1e6, high=1e6, read_only=_START)
-    y: float = setting(0.0, "Initial y.", unit="m", low=-1e6, high=1e6, read_only=_START)
-    theta: float = setting(
-        0.0, "Initial heading.", unit="rad", low=-1e3, high=1e3, read_only=_START
-    )
+    x: float = _offset(0.0, "Initial x.", most=1e6, unit="m", read_only=_START)
+    y: float = _offset(0.0, "Initial y.", most=1e6, unit="m", read_only=_START)
+    theta: float = _offset(0.0, "Initial heading.", most=1e3, unit="rad", read_only=_START)
 
 
 @dataclass(frozen=True)
@@ -44,25 +54,16 @@ class PlantSettings:
     max_angular_vel: float = setting(
         math.inf, "Highest possible angular velocity.", unit="rad/s", low=0.0
     )
-    max_linear_accel: float = setting(
-        math.inf, "Highest possible linear acceleration.", unit="m/s^2", low=POSITIVE
-    )
-    max_angular_accel: float = setting(
-        math.inf, "Highest possible angular acceleration.", unit="rad/s^2", low=POSITIVE
-    )
-    command_ramps: tuple[float, ...] = setting(
+    max_linear_accel: float = limit("Highest possible linear acceleration.", unit="m/s^2")
+    max_angular_accel: float = limit("Highest possible angular acceleration.", unit="rad/s^2")
+    command_ramps: tuple[float, float] = setting(
         (math.inf, math.inf),
         "Highest changes of the commanded velocities that the firmware lets through.",
         unit="m/s^2, rad/s^2",
         low=POSITIVE,
-        lengths=(2,),
     )
-    velocity_lag: float = setting(
-        0.0,
-        "Time constant of the wheels' velocities.",
-        unit="s",
-        low=0.0,
-        high=10.0,
+    velocity_lag: float = _imperfection(
+        "Time constant of the wheels' velocities.", unit="s", high=10.0
     )
     angular_lag: float = setting(
         -1.0,
@@ -71,89 +72,61 @@ class PlantSettings:
         low=-1.0,
         high=10.0,
     )
-    command_delay: float = setting(
-        0.0,
-        "Time from a command to its effect, rounded up to whole steps.",
-        unit="s",
-        low=0.0,
-        high=10.0,
+    command_delay: float = _imperfection(
+        "Time from a command to its effect, rounded up to whole steps.", unit="s", high=10.0
     )
-    gains: tuple[float, ...] = gains_setting("those that the encoders report")
+    gains: tuple[float, float] = gains_setting("those that the encoders report")
     bias: float = bias_setting()
-    linear_slip: float = setting(
-        0.0,
+    linear_slip: float = _imperfection(
         "Lost share of the wheels' linear velocity; odometry reports the wheels' velocity.",
-        low=0.0,
         high=1.0,
     )
-    angular_slip: float = setting(
-        0.0, "Lost share of the wheels' angular velocity.", low=0.0, high=1.0
-    )
-    friction: float = setting(
-        math.inf,
+    angular_slip: float = _imperfection("Lost share of the wheels' angular velocity.", high=1.0)
+    friction: float = limit(
         "Coefficient of friction: bounds the acceleration, along and across, to this times "
-        "9.81 m/s^2. With little of it the robot brakes late and drifts wide.",
-        low=POSITIVE,
+        "9.81 m/s^2. With little of it the robot brakes late and drifts wide."
     )
-    push: tuple[float, ...] = setting(
+    push: tuple[float, float, float] = _offset(
         (0.0, 0.0, 0.0),
         "Velocity of a push, added to that of the wheels: forward, to the left and turning.",
+        most=100.0,
         unit="m/s, m/s, rad/s",
-        low=-100.0,
-        high=100.0,
-        lengths=(3,),
     )
-    position_noise: float = setting(
-        0.0, "Standard deviation of x and y in odometry.", unit="m", low=0.0, high=10.0
+    position_noise: float = _imperfection(
+        "Standard deviation of x and y in odometry.", unit="m", high=10.0
     )
-    heading_noise: float = setting(
-        0.0, "Standard deviation of the heading in odometry.", unit="rad", low=0.0, high=3.0
+    heading_noise: float = _imperfection(
+        "Standard deviation of the heading in odometry.", unit="rad", high=3.0
     )
-    encoder_noise: tuple[float, ...] = setting(
+    encoder_noise: tuple[float, float] = setting(
         (0.0, 0.0),
         "Standard deviations of the linear and the angular velocity in odometry.",
         unit="m/s, rad/s",
         low=0.0,
         high=10.0,
-        lengths=(2,),
     )
     dead_reckoning: bool = setting(
         False, "Integrate the encoders to the pose in odometry, instead of localising the robot."
     )
-    position_drift: float = setting(
-        0.0,
+    position_drift: float = _imperfection(
         "Drift of x and y in odometry: a random walk with this standard deviation after 1 s.",
         unit="m/sqrt(s)",
-        low=0.0,
         high=10.0,
     )
-    heading_drift: float = setting(
-        0.0, "The same for the heading.", unit="rad/sqrt(s)", low=0.0, high=3.0
-    )
+    heading_drift: float = _imperfection("The same for the heading.", unit="rad/sqrt(s)", high=3.0)
     odometry_rate: float = setting(
-        math.inf,
-        "Odometry messages per second, at most one for each step.",
-        unit="Hz",
-        low=0.1,
+        math.inf, "Odometry messages per second, at most one for each step.", unit="Hz", low=0.1
     )
-    odometry_delay: float = setting(
-        0.0,
+    odometry_delay: float = _imperfection(
         "Time from a measurement to its message, rounded up to whole steps. The stamp is that of "
         "the measurement.",
         unit="s",
-        low=0.0,
         high=10.0,
     )
-    odometry_jitter: float = setting(
-        0.0,
-        "Standard deviation of this time; messages keep their order.",
-        unit="s",
-        low=0.0,
-        high=1.0,
+    odometry_jitter: float = _imperfection(
+        "Standard deviation of this time; messages keep their order.", unit="s", high=1.0
     )
-    odometry_drop: float = setting(
-        0.0, "Probability that an odometry message is lost.", low=0.0, high=1.0
-    )
+    odometry_drop: float = _imperfection("Probability that an odometry message is lost.", high=1.0)
     seed: int = setting(
         0,
         "Seed of all random numbers; run n of a batch has this seed plus n.",
@@ -186,69 +159,59 @@ class PlantSettings:
 class MessageFaultSettings:
     """Faulty messages."""
 
-    odometry_duplicate: float = setting(
-        0.0, "Probability that an odometry message is sent twice.", low=0.0, high=1.0
+    odometry_duplicate: float = _imperfection(
+        "Probability that an odometry message is sent twice.", high=1.0
     )
     odometry_corruption: str = setting(
         "none",
         "Fault in the values of odometry messages.",
         choices=("none", "nan", "infinite", "zero_quaternion"),
     )
-    odometry_offset: tuple[float, ...] = setting(
+    odometry_offset: tuple[float, float, float] = _offset(
         (0.0, 0.0, 0.0),
         "Offset of x, y and theta in odometry messages: a pose that jumps.",
+        most=1e6,
         unit="m, m, rad",
-        low=-1e6,
-        high=1e6,
-        lengths=(3,),
     )
-    odometry_stamp_offset: float = setting(
-        0.0, "Offset of the stamps of odometry messages.", unit="s", low=-1e6, high=1e6
+    odometry_stamp_offset: float = _offset(
+        0.0, "Offset of the stamps of odometry messages.", most=1e6, unit="s"
     )
     reported_odom_frame: str = setting("", "Frame in odometry messages; empty: odom_frame.")
     reported_base_frame: str = setting("", "Robot frame in odometry messages; empty: base_frame.")
     clock_stops: bool = setting(False, "Publish odometry, but no /clock.")
-    clock_offset: float = setting(
+    clock_offset: float = _offset(
         0.0,
         "Offset of /clock and of odometry stamps; their time stays above 0.",
+        most=1e6,
         unit="s",
-        low=-1e6,
-        high=1e6,
     )
+
+
+_wired = functools.partial(setting, read_only=_WIRING)
 
 
 @dataclass(frozen=True)
 class SimulationSettings:
     """Simulator node."""
 
-    rate: float = setting(
+    rate: float = _wired(
         100.0,
         "Steps per simulated second, each with one odometry message unless odometry_rate is lower.",
         unit="Hz",
         low=1.0,
         high=1000.0,
-        read_only=_WIRING,
     )
-    real_time_factor: float = setting(
-        1.0,
-        "Simulated seconds per second; without effect in lock-step.",
-        low=0.01,
-        high=100.0,
-        read_only=_WIRING,
+    real_time_factor: float = _wired(
+        1.0, "Simulated seconds per second; without effect in lock-step.", low=0.01, high=100.0
     )
-    lockstep: bool = setting(
+    lockstep: bool = _wired(
         False,
         "Let simulated time wait for the command that answers the last odometry: fast, and the "
         "same on every machine. The controller needs control_trigger: odometry.",
-        read_only=_WIRING,
     )
-    publish_clock: bool = setting(False, "Publish the simulated time on /clock.", read_only=_WIRING)
-    duration: float = setting(
-        math.inf,
-        "Simulated time after which the node ends.",
-        unit="s",
-        low=0.01,
-        read_only=_WIRING,
+    publish_clock: bool = _wired(False, "Publish the simulated time on /clock.")
+    duration: float = _wired(
+        math.inf, "Simulated time after which the node ends.", unit="s", low=0.01
     )
     command_timeout: float = setting(
         0.5,
@@ -276,29 +239,21 @@ class SimulationSettings:
 class FrameSettings:
     """Frames."""
 
-    odom_frame: str = setting("odom", "Frame of the odometry.", read_only=_WIRING)
-    base_frame: str = setting("base_link", "Frame of the robot.", read_only=_WIRING)
-    map_frame: str = setting(
-        "map", "Frame that odometry's has a place in; empty for none.", read_only=_WIRING
-    )
-    publish_tf: bool = setting(
-        True, "Publish transforms on /tf, where tf2_msgs is installed.", read_only=_WIRING
-    )
-    map_offset: tuple[float, ...] = setting(
+    odom_frame: str = _wired("odom", "Frame of the odometry.")
+    base_frame: str = _wired("base_link", "Frame of the robot.")
+    map_frame: str = _wired("map", "Frame that odometry's has a place in; empty for none.")
+    publish_tf: bool = _wired(True, "Publish transforms on /tf, where tf2_msgs is installed.")
+    map_offset: tuple[float, float, float] = _offset(
         (0.0, 0.0, 0.0),
         "Place x, y, theta of odometry's frame in the map; a localisation that jumps changes it.",
+        most=1e6,
         unit="m, m, rad",
-        low=-1e6,
-        high=1e6,
-        lengths=(3,),
     )
-    map_drift: tuple[float, ...] = setting(
+    map_drift: tuple[float, float, float] = _offset(
         (0.0, 0.0, 0.0),
         "Rate at which that place changes from the start on, as odometry drifts.",
+        most=100.0,
         unit="m/s, m/s, rad/s",
-        low=-100.0,
-        high=100.0,
-        lengths=(3,),
     )
 
 

@@ -13,7 +13,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.learning import LearningSettings, PolicySettings
 from adp_path_follower.core.settings.navigation import NavigationSettings
 from adp_path_follower.core.settings.robot import RobotSettings
-from adp_path_follower.core.settings.schema import POSITIVE, setting, update
+from adp_path_follower.core.settings.schema import POSITIVE, limit, setting, update
 
 FAST = 2.0  # [m/s]: the ways of faster robots are longer, in proportion to the speed
 _WIRING = "the node's topics are made from it"
@@ -120,11 +120,9 @@ class LimitSettings:
         symbol="ω_max",
     )
 
-    speed_limit: float = setting(
-        math.inf,
+    speed_limit: float = limit(
         "Highest linear velocity for now, in either direction, as the topic speed_limit sets it.",
         unit="m/s",
-        low=POSITIVE,
     )
 
     @functools.cached_property
@@ -150,41 +148,29 @@ _NO_LIMIT = ".inf is no limit."
 class MotionSettings:
     """Motion."""
 
-    max_linear_accel: float = setting(
-        math.inf, f"Highest linear acceleration. {_NO_LIMIT}", unit="m/s²", low=POSITIVE, symbol="a"
+    max_linear_accel: float = limit(
+        f"Highest linear acceleration. {_NO_LIMIT}", unit="m/s²", symbol="a"
     )
-    max_linear_decel: float = setting(
-        math.inf,
+    max_linear_decel: float = limit(
         "Highest linear deceleration; where it is finite, the robot brakes to the end of an open "
         f"path. {_NO_LIMIT}",
         unit="m/s²",
-        low=POSITIVE,
         symbol="d",
     )
-    max_angular_accel: float = setting(
-        math.inf,
+    max_angular_accel: float = limit(
         f"Highest angular acceleration, in either direction. {_NO_LIMIT}",
         unit="rad/s²",
-        low=POSITIVE,
         symbol="α_max",
     )
-    max_linear_jerk: float = setting(
-        math.inf,
-        f"Highest rate of change of the linear acceleration. {_NO_LIMIT}",
-        unit="m/s³",
-        low=POSITIVE,
+    max_linear_jerk: float = limit(
+        f"Highest rate of change of the linear acceleration. {_NO_LIMIT}", unit="m/s³"
     )
-    max_angular_jerk: float = setting(
-        math.inf,
-        f"Highest rate of change of the angular acceleration. {_NO_LIMIT}",
-        unit="rad/s³",
-        low=POSITIVE,
+    max_angular_jerk: float = limit(
+        f"Highest rate of change of the angular acceleration. {_NO_LIMIT}", unit="rad/s³"
     )
-    max_lateral_accel: float = setting(
-        math.inf,
+    max_lateral_accel: float = limit(
         f"Highest lateral acceleration v² κ of the speed along the path. {_NO_LIMIT}",
         unit="m/s²",
-        low=POSITIVE,
         symbol="a_lat",
     )
     xy_goal_tolerance: float = setting(
@@ -268,12 +254,10 @@ class ControllerSettings:
         choices=("timer", "odometry"),
         read_only=_TIMER,
     )
-    debug_rate: float = setting(
-        math.inf,
+    debug_rate: float = limit(
         "Rate at which the debug topics tell what a control step found, while somebody subscribes; "
         ".inf tells it of every step, so that a recording is complete.",
         unit="Hz",
-        low=POSITIVE,
     )
     path_start: str = setting(
         "earliest",
@@ -300,18 +284,13 @@ class ControllerSettings:
         unit="m",
         low=POSITIVE,
     )
-    max_cross_track_error: float = setting(
-        math.inf,
+    max_cross_track_error: float = limit(
         "Distance from the path, sideways at the virtual target, at which the robot is told to "
         "stop until ~/resume is called.",
         unit="m",
-        low=POSITIVE,
     )
-    max_heading_error: float = setting(
-        math.inf,
-        "Heading error at which the robot is told to stop until ~/resume is called.",
-        unit="rad",
-        low=POSITIVE,
+    max_heading_error: float = limit(
+        "Heading error at which the robot is told to stop until ~/resume is called.", unit="rad"
     )
     enable_stamped_cmd_vel: bool = setting(
         True,

@@ -92,21 +92,19 @@ class LearningSettings:
         low=POSITIVE,
         high=1e6,
     )
-    sample_half_widths: tuple[float, ...] = setting(
+    sample_half_widths: tuple[float, float, float, float] = setting(
         (1.3, 1.3, 1.3, 0.5),
         "Half-width of the region of sampled states about the origin, along s [m], y [m], θ [rad] "
         "and φ (below 1, for φ = ±1 is s_p = ±∞; only for scheduling: path_state); with arc_length "
         "s and y are more above 2 m/s, in proportion.",
         symbol="ζ_j",
-        lengths=(4,),
         low=POSITIVE,
         high=100.0,
     )
-    samples_per_axis: tuple[int, ...] = setting(
+    samples_per_axis: tuple[int, int, int, int] = setting(
         (3, 3, 3, 3),
         "Number of sampled values along s, y, θ and φ, a grid, for scheduling: path_state.",
         symbol="N",
-        lengths=(4,),
         low=1,
         high=50,
     )
@@ -157,11 +155,7 @@ class LearningSettings:
         high=1e6,
     )
     initial_actor_weights: tuple[float, ...] = setting(
-        _QUADRATIC_WEIGHTS,
-        "Listed actor weights, likewise.",
-        symbol="Ŵa(0)",
-        low=-1e6,
-        high=1e6,
+        _QUADRATIC_WEIGHTS, "Listed actor weights, likewise.", symbol="Ŵa(0)", low=-1e6, high=1e6
     )
 
     def __post_init__(self) -> None:
@@ -236,12 +230,11 @@ class PolicySettings:
         choices=WIDE_REGIONS,
         registry=OWN_FAR_POLICIES,
     )
-    wide_region_levels: tuple[float, ...] = setting(
+    wide_region_levels: tuple[float, float] = setting(
         (1.0, 1.25),
         "Errors, as multiples of sample_half_widths, at which the policy starts and ends to change "
         "from the learned one to that of wide_region; to value_grid at 0.7 of them, and below "
         "0.5 m/s nearer to the path in proportion.",
-        lengths=(2,),
         low=POSITIVE,
         high=1e6,
     )

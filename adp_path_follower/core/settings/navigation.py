@@ -1,9 +1,8 @@
 """The settings of a controller among others: goals of Nav2, progress and moving frames."""
 
-import math
 from dataclasses import dataclass
 
-from adp_path_follower.core.settings.schema import POSITIVE, setting
+from adp_path_follower.core.settings.schema import POSITIVE, limit, setting
 
 
 @dataclass(frozen=True)
@@ -31,21 +30,18 @@ class NavigationSettings:
         unit="s",
         low=POSITIVE,
     )
-    max_correction: tuple[float, ...] = setting(
+    max_correction: tuple[float, float] = setting(
         (1.0, 0.5),
         "Distance and turn by which that transform may correct the robot's pose at once; beyond, "
         "the robot is told to stop until ~/resume is called.",
         unit="m, rad",
         low=0.0,
-        lengths=(2,),
     )
     required_movement_radius: float = setting(
         0.5, "Distance that counts as progress.", unit="m", low=POSITIVE
     )
-    movement_time_allowance: float = setting(
-        math.inf,
+    movement_time_allowance: float = limit(
         "Time without progress after which the robot is told to stop and a goal is aborted, while "
         "a path is followed. .inf waits for ever.",
         unit="s",
-        low=POSITIVE,
     )

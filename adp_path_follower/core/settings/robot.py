@@ -17,7 +17,6 @@ def gains_setting(others: str) -> Any:
         symbol="k_v, k_ω",
         low=0.5,
         high=2.0,
-        lengths=(2,),
     )
 
 
@@ -43,20 +42,18 @@ class RobotSettings:
         "the next settings describe, or one that is learned while driving, from them on.",
         choices=ROBOT_MODELS,
     )
-    robot_lags: tuple[float, ...] = setting(
+    robot_lags: tuple[float, float] = setting(
         (0.0, 0.0),
         "Time constants with which the linear and the angular velocity follow their commands.",
         unit="s",
         low=0.0,
         high=2.0,
-        lengths=(2,),
     )
-    robot_ramps: tuple[float, ...] = setting(
+    robot_ramps: tuple[float, float] = setting(
         (math.inf, math.inf),
         "Highest linear and angular acceleration that the robot's own firmware lets through.",
         unit="m/s², rad/s²",
         low=POSITIVE,
-        lengths=(2,),
     )
-    robot_gains: tuple[float, ...] = gains_setting("the commanded ones")
+    robot_gains: tuple[float, float] = gains_setting("the commanded ones")
     robot_bias: float = bias_setting()

@@ -90,8 +90,16 @@ class SettingField:
 
 
 def setting(default: Any, doc: str, **spec: Any) -> Any:
-    """Declare a setting: a dataclass field with its default, doc and `Spec` keywords."""
+    """Declare a setting: a dataclass field with its default, doc and `Spec` keywords.
+
+    The type of a list of fixed length says it, as `tuple[float, float]` does.
+    """
     return dataclasses.field(default=default, metadata={"spec": Spec(doc=doc, **spec)})
+
+
+def limit(doc: str, **spec: Any) -> Any:
+    """Declare a limit above zero; by default it is infinite, which is none."""
+    return setting(math.inf, doc, low=POSITIVE, **spec)
 
 
 @functools.cache  # as they are slow to look up, and settings are made by the thousand in sweeps
@@ -110,16 +118,18 @@ def _fields_of(tree: Any) -> tuple[SettingField, ...]:
     for group_name, group in _hints(tree).items():
         hints = _hints(group)
         for field in dataclasses.fields(group):
-            hint = hints[field.name]
-            is_list = typing.get_origin(hint) is tuple
+            hint, spec = hints[field.name], field.metadata["spec"]
+            items = typing.get_args(hint)  # of a list, else none
+            if items and items[-1] is not Ellipsis:
+                spec = dataclasses.replace(spec, lengths=(len(items),))
             found.append(
                 SettingField(
                     group=group_name,
                     name=field.name,
-                    kind=tuple if is_list else hint,
-                    item_kind=typing.get_args(hint)[0] if is_list else None,
+                    kind=tuple if items else hint,
+                    item_kind=items[0] if items else None,
                     default=typing.cast("Any", field.default),
-                    spec=field.metadata["spec"],
+                    spec=spec,
                 )
             )
     names = [field.name for field in found]

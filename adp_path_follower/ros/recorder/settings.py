@@ -1,5 +1,6 @@
 """The recorder's settings, and what metadata.yaml says of a recording's origin."""
 
+import functools
 import os
 import platform
 import re
@@ -38,7 +39,7 @@ RUN_TOPICS = (
     "/tf_static",
 )
 
-_FIXED = "the bag is made at the start"
+_fixed = functools.partial(setting, read_only="the bag is made at the start")
 _LEAST_DURATION, _LEAST_SIZE = 1.0, 100_000  # [s], [bytes]: smaller files are all index
 _NAME = re.compile(r"[~/\w{}]+", re.ASCII)  # what is no topic name is a regular expression
 
@@ -47,14 +48,13 @@ _NAME = re.compile(r"[~/\w{}]+", re.ASCII)  # what is no topic name is a regular
 class TopicSettings:
     """Content of the recording."""
 
-    topics: tuple[str, ...] = setting(
+    topics: tuple[str, ...] = _fixed(
         RUN_TOPICS,
         "Topics to record as soon as they appear: names, or regular expressions for whole names.",
-        read_only=_FIXED,
     )
-    all: bool = setting(False, "Record every topic.", read_only=_FIXED)
-    exclude: tuple[str, ...] = setting(
-        (), "Topics not to record, whatever else is set: names or expressions.", read_only=_FIXED
+    all: bool = _fixed(False, "Record every topic.")
+    exclude: tuple[str, ...] = _fixed(
+        (), "Topics not to record, whatever else is set: names or expressions."
     )
 
 
@@ -62,31 +62,26 @@ class TopicSettings:
 class BagSettings:
     """Place and form of the recording."""
 
-    output: str = setting(
+    output: str = _fixed(
         "",
         "Directory of the bag, which must not exist yet; empty makes one named by date and time.",
-        read_only=_FIXED,
     )
-    max_duration: float = setting(
+    max_duration: float = _fixed(
         0.0,
         "Time after which the bag goes on in another file; 0 is never, else at least 1.",
         unit="s",
         low=0.0,
         high=1e9,
-        read_only=_FIXED,
     )
-    max_size: int = setting(
+    max_size: int = _fixed(
         0,
         "Length, without its index, that a file of the bag must not exceed; 0 is any, else at "
         "least 100000.",
         unit="bytes",
         low=0,
         high=2**62,
-        read_only=_FIXED,
     )
-    compression: str = setting(
-        "none", "How messages are packed in the bag.", choices=COMPRESSIONS, read_only=_FIXED
-    )
+    compression: str = _fixed("none", "How messages are packed in the bag.", choices=COMPRESSIONS)
 
     def __post_init__(self) -> None:
         """Reject files that hold next to nothing."""

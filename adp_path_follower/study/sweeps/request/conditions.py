@@ -83,8 +83,8 @@ class _RandomStarts:
     """Random starts in a box about the path."""
 
     random: int = setting(100, "Number of starts", low=1, high=_MOST_STARTS)
-    box: tuple[float, ...] = setting(
-        (1.0, 1.0, math.pi / 3.0), "Half-widths [s, y, theta]", low=0.0, high=1e9, lengths=(3,)
+    box: tuple[float, float, float] = setting(
+        (1.0, 1.0, math.pi / 3.0), "Half-widths [s, y, theta]", low=0.0, high=1e9
     )
     seed: int = setting(0, "Seed of the starts", low=0, high=_MOST_SEED)
 
