@@ -248,22 +248,14 @@ def main() -> int:
     return run_node(NODE_NAME, SimulatorNode)
 
 
-def _set_position(value: float) -> Callable[[Odometry], None]:
-    def corrupt(message: Odometry) -> None:
-        message.pose.pose.position.x = value
-
-    return corrupt
-
-
-def _remove_orientation(message: Odometry) -> None:
-    message.pose.pose.orientation.z = message.pose.pose.orientation.w = 0.0
-
-
-_CORRUPTIONS: dict[str, Callable[[Odometry], None]] = {
-    "nan": _set_position(math.nan),
-    "infinite": _set_position(math.inf),
-    "zero_quaternion": _remove_orientation,
-}
+def _corrupt(message: Odometry, fault: str) -> None:
+    """Spoil the values of a message as `odometry_corruption` says."""
+    if fault == "nan":
+        message.pose.pose.position.x = math.nan
+    elif fault == "infinite":
+        message.pose.pose.position.x = math.inf
+    elif fault == "zero_quaternion":
+        message.pose.pose.orientation.z = message.pose.pose.orientation.w = 0.0
 
 
 def published_time(time: int, settings: SimulatorSettings) -> int:
@@ -281,6 +273,5 @@ def odometry_of(reading: Reading, time: int, settings: SimulatorSettings) -> Odo
     stamp = published_time(time, settings) + round(NANOSECONDS * faults.odometry_stamp_offset)
     pose = reading.pose + np.array(faults.odometry_offset)
     message = odometry_message(max(0, stamp), pose, reading.twist, frames)
-    if faults.odometry_corruption in _CORRUPTIONS:
-        _CORRUPTIONS[faults.odometry_corruption](message)
+    _corrupt(message, faults.odometry_corruption)
     return message
