@@ -20,24 +20,7 @@ from sim_unicycle.settings import SimulatorSettings, with_robot
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-
 FILE = click.Path(path_type=FilePath)
-
-
-class _Parameters(click.ParamType):
-    """A parameter file, or the name of one that comes with the package."""
-
-    name = "parameters"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> FilePath:
-        return parameter_file(value) if isinstance(value, str) else FilePath(value)
-
-
-_PARAMETERS = _Parameters()
-
-
 _FOUND = "any named '{}', or the only one of its type,"
 # Option -> what a topic is read as, in words, and what holds without the option.
 _TOPICS = {
@@ -59,7 +42,7 @@ def settings_options(command: Command) -> Command:
     )(command)
     return click.option(
         "--params",
-        type=_PARAMETERS,
+        type=parameter_file,
         metavar="NAME|FILE",
         help="Parameters: default, paper, turtlebot4, diff_drive or late_robot, or a file such as "
         "`ros2 run ... --params-file` takes.",
@@ -95,7 +78,7 @@ def simulator_options(command: Command) -> Command:
     )(simulating)
     found = click.option(
         "--sim-params",
-        type=_PARAMETERS,
+        type=parameter_file,
         metavar="FILE",
         help="Parameter file with a section for unicycle_sim: how the simulated robot is.",
     )(found)
