@@ -26,6 +26,7 @@ from adp_path_follower.drawing.charts import (
     SteeringMap,
     Track,
     above_zero,
+    command_panels,
     drawable,
     histogram,
     line_of,
@@ -42,7 +43,6 @@ _BUCKETS = 1600  # of a line, shared by the bags
 _WEIGHT_BUCKETS = 450  # of one of many
 _GREY_BUCKETS = 100  # of a weight that is only there for the whole
 _NAMED_WEIGHTS = 10
-_LEAST_DISTANCE = 1e-6  # [m] that colours are told apart for
 _TRACK_BUCKETS = 500  # of the track, shared by the bags; each point is a mark of its own
 _POSES = 2000  # that the robot is moved through, shared by the bags
 
@@ -64,20 +64,7 @@ def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Cha
         found["errors"] = _error_panels(drive, buckets)
     if len(drive.commands.time):
         limits = drive.settings.limits if drive.settings is not None else None
-        found["commands"] = (
-            Panel(
-                "v [m/s]",
-                (told("v", 0),),
-                () if limits is None else (limits.min_linear_vel, limits.max_linear_vel),
-                steps=True,
-            ),
-            Panel(
-                "ω [rad/s]",
-                (told("ω", 1),),
-                () if limits is None else (-limits.max_angular_vel, limits.max_angular_vel),
-                steps=True,
-            ),
-        )
+        found["commands"] = command_panels(told("v", 0), told("ω", 1), limits)
     learner = drive.learner
     if "cost" in learner:
         found["cost"] = (Panel("cost to date", (line("cost", learner["cost"]),)),)
@@ -157,6 +144,7 @@ def _track(drive: Drive, bags: int) -> Track:
     """Return the track, with every peak of the distance from the path, and its motion."""
     shown, beside = drive.in_one_frame, drive.compared.any()
     time, poses = drive.odometry.time[shown], drive.odometry.values[shown, :3]
+    steady = drive.driving & drive.compared & (drive.odometry.time >= transient(drive.end))
     target = None
     if beside and "target" in drive.learner and len(drive.learner["target"].time):
         recorded = drive.learner["target"]
@@ -172,17 +160,10 @@ def _track(drive: Drive, bags: int) -> Track:
         poses,
         drive.projection.cross_track[shown],
         target=target,
-        color_limit=_color_limit(drive),
+        steady=steady[shown],
         points=max(200, _TRACK_BUCKETS // bags),
         samples=max(500, _POSES // bags),
     )
-
-
-def _color_limit(drive: Drive) -> float:
-    """Return the distance [m] that 95 % of a run after its far-away beginning are below."""
-    chosen = drive.driving & drive.compared & (drive.odometry.time >= transient(drive.end))
-    distance = np.abs(drive.projection.cross_track[chosen])
-    return max(float(np.quantile(distance, 0.95)) if len(distance) else 0.0, _LEAST_DISTANCE)
 
 
 def _steering_maps(drive: Drive) -> tuple[SteeringMap, ...]:

@@ -8,11 +8,13 @@ import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import LimitSettings
 
 _PATH_POINTS = 4000  # of all paths, shared by the bags
 _LEAST_PATH_POINTS = 12  # of each path, however many there are
 _BINS = 60
 KINDS = ("state", "fault", "warning", "parameter", "path")
+_LEAST_DISTANCE = 1e-6  # [m] that colours are told apart for
 _GREATEST = 1e30  # that is drawn; the page has single precision, and the axes need room beyond
 
 
@@ -136,6 +138,18 @@ def line_of(
     )
 
 
+def command_panels(linear: Line, angular: Line, limits: LimitSettings | None) -> tuple[Panel, ...]:
+    """Return the panels of v and ω, within limits where these are known."""
+    edges: list[tuple[float, ...]] = [(), ()]
+    if limits is not None:
+        edges[0] = limits.min_linear_vel, limits.max_linear_vel
+        edges[1] = -limits.max_angular_vel, limits.max_angular_vel
+    return (
+        Panel("v [m/s]", (linear,), edges[0], steps=True),
+        Panel("ω [rad/s]", (angular,), edges[1], steps=True),
+    )
+
+
 def track_of(
     path: FloatArray,
     time: FloatArray,
@@ -143,23 +157,26 @@ def track_of(
     cross_track: FloatArray,
     *,
     target: FloatArray | None = None,
-    color_limit: float,
+    steady: np.ndarray,
     points: int,
     samples: int,
 ) -> Track:
     """Return the track through poses (N, 3) with every peak of its distance from the path.
 
     `path` are the positions of the path's line, `target` those of the virtual target at N times.
+    Colours end at the distance that 95 % of the `steady` poses (N,) are below.
     """
     kept = extremes(cross_track, points)
     moving = np.unique(np.linspace(0, len(time) - 1, min(len(time), samples)).astype(int))
     beside = np.full((len(time), 2), np.nan) if target is None else target
+    distance = np.abs(cross_track[steady])
+    limit = float(np.quantile(distance, 0.95)) if len(distance) else 0.0
     return Track(
         path,
         time[kept],
         poses[kept, :2],
         cross_track[kept],
-        color_limit,
+        max(limit, _LEAST_DISTANCE),
         time[moving],
         poses[moving],
         beside[moving],

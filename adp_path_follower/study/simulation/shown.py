@@ -14,6 +14,7 @@ from adp_path_follower.drawing.charts import (
     Line,
     Panel,
     ShownRun,
+    command_panels,
     line_of,
     path_line,
     track_of,
@@ -38,35 +39,21 @@ def shown_run(
     spent = cumulative_trapezoid(np.nan_to_num(running), time, initial=0.0)
     buckets = max(150, _BUCKETS // among)
 
-    def line(label: str, values: FloatArray) -> tuple[Line, ...]:
-        return (line_of(label, time, values, buckets),)
+    def line(label: str, values: FloatArray) -> Line:
+        return line_of(label, time, values, buckets)
 
-    limits = settings.limits
+    linear, angular = line("v", found.command[run, :, 0]), line("ω", found.command[run, :, 1])
     panels = {
-        "distance": (Panel("cross-track [mm]", line("cross-track", 1e3 * beside.cross_track)),),
-        "cost": (Panel("J so far", line("J", spent)),),
-        "commands": (
-            Panel(
-                "v [m/s]",
-                line("v", found.command[run, :, 0]),
-                (limits.min_linear_vel, limits.max_linear_vel),
-                steps=True,
-            ),
-            Panel(
-                "ω [rad/s]",
-                line("ω", found.command[run, :, 1]),
-                (-limits.max_angular_vel, limits.max_angular_vel),
-                steps=True,
-            ),
-        ),
+        "distance": (Panel("cross-track [mm]", (line("cross-track", 1e3 * beside.cross_track),)),),
+        "cost": (Panel("J so far", (line("J", spent),)),),
+        "commands": command_panels(linear, angular, settings.limits),
     }
-    late = np.abs(beside.cross_track[time >= transient(float(time[-1]))])
     track = track_of(
         path_line([path], among),
         time,
         pose,
         beside.cross_track,
-        color_limit=max(1e-6, float(np.quantile(late, 0.95)) if len(late) else 0.0),
+        steady=time >= transient(float(time[-1])),
         points=max(200, _POINTS // among),
         samples=max(500, _SAMPLES // among),
     )
