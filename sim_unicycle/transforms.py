@@ -7,7 +7,6 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
-from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.ros.runtime.conversions import quaternion_of
 from sim_unicycle.settings import FrameSettings
 
@@ -39,18 +38,15 @@ class Transforms:
         robot.transform.rotation = turn
         found = [robot]
         if settings.map_frame:
-            found.append(_map(odometry, settings.map_frame, place_in_map(settings, elapsed)))
+            found.append(_map(odometry, settings, elapsed))
         self._publisher.publish(self._message(transforms=found))
 
 
-def place_in_map(settings: FrameSettings, elapsed: float) -> FloatArray:
-    """Return x, y and turn of odometry's frame in the map, a time [s] after the start, (3,)."""
-    return np.array(settings.map_offset) + elapsed * np.array(settings.map_drift)
-
-
-def _map(odometry: Odometry, frame: str, place: FloatArray) -> TransformStamped:
+def _map(odometry: Odometry, settings: FrameSettings, elapsed: float) -> TransformStamped:
+    """Return the place of odometry's frame in the map, a time [s] after the start."""
+    place = np.array(settings.map_offset) + elapsed * np.array(settings.map_drift)
     found = TransformStamped(child_frame_id=odometry.header.frame_id)
-    found.header.stamp, found.header.frame_id = odometry.header.stamp, frame
+    found.header.stamp, found.header.frame_id = odometry.header.stamp, settings.map_frame
     found.transform.translation.x, found.transform.translation.y = place[:2].tolist()
     found.transform.rotation = quaternion_of(float(place[2]))
     return found

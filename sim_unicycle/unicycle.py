@@ -41,7 +41,9 @@ class Unicycle:
         if dt <= 0.0:
             return
         plant = self.plant
-        wanted = within_limits(self._delayed(np.asarray(command, dtype=float)), plant)
+        lowest = np.array([plant.min_linear_vel, -plant.max_angular_vel])
+        highest = np.array([plant.max_linear_vel, plant.max_angular_vel])
+        wanted = np.clip(self._delayed(np.asarray(command, dtype=float)), lowest, highest)
         if min(plant.command_ramps) < math.inf:
             ramps = np.array(plant.command_ramps)
             wanted, self._set = drive(self._set, wanted, dt, np.zeros(2), ramps)
@@ -85,13 +87,6 @@ class Unicycle:
         while self._pending and self._pending[0][0] <= self.time + 1e-9:
             self._effective = self._pending.popleft()[1]
         return self._effective
-
-
-def within_limits(command: FloatArray, plant: PlantSettings) -> FloatArray:
-    """Return the command [v, w] that the robot can do, shape (..., 2)."""
-    upper = np.array([plant.max_linear_vel, plant.max_angular_vel])
-    lower = np.array([plant.min_linear_vel, -plant.max_angular_vel])
-    return np.clip(command, lower, upper)
 
 
 def drive(

@@ -1,7 +1,7 @@
 """The page about analysed bags: one file that opens without network."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
@@ -71,32 +71,6 @@ CAPTIONS = {
 _COLOR_CAPTION = (
     "Its colour is the distance from the path, and stays the same beyond the end of the scale."
 )
-# Figure, what more is said of it, and which bags that is true of.
-_DETAILS: tuple[tuple[str, str, Callable[[Charts], bool]], ...] = (
-    (
-        "track",
-        "The ring is its virtual target.",
-        lambda charts: bool(np.isfinite(charts.track.target).any()),
-    ),
-    (
-        "track",
-        "The orange arrow is the optimum from the same start.",
-        lambda charts: charts.optimum is not None,
-    ),
-    (
-        "errors",
-        "s is how far the robot is ahead of its virtual target.",
-        lambda charts: len(charts.panels.get("errors", ())) > 2,
-    ),
-    (
-        "commands",
-        "The dashed lines are the limits.",
-        lambda charts: any(
-            np.isfinite(panel.limits).any() for panel in charts.panels.get("commands", ())
-        ),
-    ),
-)
-
 _COSTS = ("cost", "cost_ratio", "bellman_error_rms")
 _COST_OF = ("state_cost", "input_cost", "desired_speed", "target_gain")
 
@@ -147,19 +121,30 @@ def _captions(
     analyses: Sequence[BagAnalysis], figures: Mapping[str, Any]
 ) -> list[tuple[str, str, str]]:
     """Return key, title and caption of each figure; nothing is said of what no bag has."""
+    bags = [analysis.charts for analysis in analyses]
+    return [
+        (key, title, " ".join([text, *_details(key, bags)]))
+        for key, (title, text) in CAPTIONS.items()
+        if key in figures
+    ]
+
+
+def _details(key: str, bags: Sequence[Charts]) -> list[str]:
+    """Return what more is said of a figure, as far as it is true of one of the bags."""
     found = []
-    for key, (title, text) in CAPTIONS.items():
-        if key not in figures:
-            continue
-        sentences = [text]
-        if key == "track" and len(analyses) == 1:
-            sentences.append(_COLOR_CAPTION)
-        sentences += [
-            sentence
-            for place, sentence, is_true_of in _DETAILS
-            if place == key and any(is_true_of(analysis.charts) for analysis in analyses)
-        ]
-        found.append((key, title, " ".join(sentences)))
+    if key == "track":
+        if len(bags) == 1:
+            found.append(_COLOR_CAPTION)
+        if any(np.isfinite(charts.track.target).any() for charts in bags):
+            found.append("The ring is its virtual target.")
+        if any(charts.optimum is not None for charts in bags):
+            found.append("The orange arrow is the optimum from the same start.")
+    panels = [charts.panels.get(key, ()) for charts in bags]
+    if key == "errors" and max(map(len, panels)) > 2:
+        found.append("s is how far the robot is ahead of its virtual target.")
+    limits = [limit for of_bag in panels for panel in of_bag for limit in panel.limits]
+    if key == "commands" and np.isfinite(limits).any():
+        found.append("The dashed lines are the limits.")
     return found
 
 

@@ -8,13 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.analysis.recorded_run import (
-    Drive,
-    controller_states,
-    finite,
-    last_time,
-    period_of,
-)
+from adp_path_follower.analysis.recorded_run import Drive, controller_states, finite, period_of
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.supervisor import State
@@ -180,7 +174,7 @@ def time_in_state(drive: Drive) -> dict[str, float]:
     if not changes:
         return {}
     times = [drive.seconds(change.time) for change in changes]
-    ends = [*times[1:], max(last_time(drive), times[-1])]
+    ends = [*times[1:], max(float(drive.odometry.time[-1]), times[-1])]
     spent: dict[str, float] = {}
     for change, begin, end in zip(changes, times, ends, strict=True):
         spent[change.state] = spent.get(change.state, 0.0) + end - begin

@@ -1,7 +1,6 @@
 """A recorded run on one time axis, with its place beside the path."""
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -286,8 +285,3 @@ def period_of(drive: Drive) -> FloatArray:
 def finite(values: FloatArray) -> FloatArray:
     """Return the values that are finite."""
     return np.asarray(values[np.isfinite(values)])
-
-
-def last_time(drive: Drive) -> float:
-    """Return when the recording of odometry ended [s]."""
-    return float(drive.odometry.time[-1]) if len(drive.odometry.time) else math.nan

@@ -10,7 +10,6 @@ from adp_path_follower.analysis.recorded_run import (
     Timed,
     controller_states,
     finite,
-    last_time,
     period_of,
 )
 from adp_path_follower.core.control.error_dynamics import feedforward, path_state
@@ -99,7 +98,8 @@ def _halts(drive: Drive) -> dict[str, FloatArray]:
     changes = controller_states(drive.run.diagnostics)
     times = [drive.seconds(change.time) for change in changes]
     found: dict[str, list[tuple[float, float]]] = {}
-    for change, begin, end in zip(changes, times, [*times[1:], last_time(drive)], strict=False):
+    ends = [*times[1:], float(drive.odometry.time[-1])]
+    for change, begin, end in zip(changes, times, ends, strict=False):
         # Before the first command and after the last one there is nothing to shade.
         begin, end = max(begin, 0.0), min(end, drive.end)
         if change.state in _HALTS and end > begin:

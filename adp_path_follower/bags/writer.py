@@ -8,6 +8,7 @@ statistics and the final metadata.yaml.
 import contextlib
 import functools
 import shutil
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -38,12 +39,6 @@ class Limits:
 
     duration: int = 0  # time [ns] between the first and the last message of a file
     size: int = 0  # length [bytes] of a file without its index
-
-
-@dataclass
-class _Topic:
-    definition: TopicDefinition
-    message_count: int = 0
 
 
 class BagWriter:
@@ -82,7 +77,8 @@ class BagWriter:
             BagFile, chunked=chunked, zstd=compression == "zstd", background=background
         )
         self._limits = limits or Limits()
-        self._topics: dict[int, _Topic] = {}
+        self._topics: dict[int, TopicDefinition] = {}
+        self._counts: Counter[int] = Counter()  # messages of each topic
         self._files: list[BagFile] = []
         self._unsettled: list[BagFile] = []  # files that were split off and are still being written
         self._last_time = 0
@@ -99,7 +95,7 @@ class BagWriter:
     @property
     def message_count(self) -> int:
         """Return the number of messages written."""
-        return sum(topic.message_count for topic in self._topics.values())
+        return self._counts.total()
 
     @property
     def size(self) -> int:
@@ -131,7 +127,7 @@ class BagWriter:
         if len(self._topics) >= _MOST_TOPICS:
             raise FileError(f"bag {self.directory} cannot hold more than {_MOST_TOPICS} topics")
         number = self._files[-1].add_topic(topic)
-        self._topics[number] = _Topic(topic)
+        self._topics[number] = topic
         return number
 
     def write(self, topic: int, message: bytes, log_time: int, publish_time: int) -> None:
@@ -146,7 +142,7 @@ class BagWriter:
             self._split()
         self._last_time = max(log_time, self._last_time)
         self._files[-1].write(topic, message, log_time, publish_time, sequence)
-        self._topics[topic].message_count += 1
+        self._counts[topic] += 1
 
     def flush(self) -> None:
         """Hand everything to the operating system; after an OSError, `close` must follow."""
@@ -196,11 +192,11 @@ class BagWriter:
         name = f"{self.directory.name}_{len(self._files)}.mcap"
         file = self._new_file(self.directory / name)
         for topic in self._topics.values():
-            file.add_topic(topic.definition)
+            file.add_topic(topic)
         self._files.append(file)
 
     def _write_metadata(self) -> None:
-        topics = [(topic.definition, topic.message_count) for topic in self._topics.values()]
+        topics = [(topic, self._counts[number]) for number, topic in self._topics.items()]
         information = bag_information(self._files, topics, self._custom_data)
         write_metadata(self.directory, {**information, **self._information})
         self._metadata_is_old = False

@@ -324,12 +324,12 @@ def _steering(found: SteeringMap, maps: Sequence[SteeringMap]) -> go.Figure:
 
 def _histogram(key: str, runs: Sequence[ShownRun]) -> go.Figure:
     figure = go.Figure()
-    lows: list[float] = []
-    highs: list[float] = []
+    drawn = []
     for index, run in enumerate(runs):
         found = run.charts.histograms.get(key)
         if found is None:
             continue
+        drawn.append(found)
         shown = found.counts > 0
         figure.add_bar(
             x=0.5 * (found.edges[1:] + found.edges[:-1])[shown],
@@ -341,11 +341,8 @@ def _histogram(key: str, runs: Sequence[ShownRun]) -> go.Figure:
             hovertemplate="%{x:.3g} ms: %{y} times<extra></extra>",
         )
         figure.update_xaxes(title_text=found.label)
-        lows.append(float(found.edges[0]))
-        highs.append(float(found.edges[-1]))
-    most = max(
-        int(run.charts.histograms[key].counts.max()) for run in runs if key in run.charts.histograms
-    )
+    most = max(int(found.counts.max()) for found in drawn)
+    edges = np.concatenate([found.edges for found in drawn])
     # A logarithmic axis shows the one late command beside a million in time.
     figure.update_yaxes(
         title_text="how often",
@@ -354,7 +351,7 @@ def _histogram(key: str, runs: Sequence[ShownRun]) -> go.Figure:
         dtick=1,
         range=[-0.3, math.log10(most) + 0.3],
     )
-    figure.update_xaxes(range=[min(lows), max(highs)])
+    figure.update_xaxes(range=[float(edges.min()), float(edges.max())])
     figure.update_layout(height=_FRAME + _PANEL_HEIGHT, barmode="overlay", showlegend=len(runs) > 1)
     return figure
 

@@ -90,7 +90,7 @@ def recover(
         total = max(1, sum(sizes))
         for index, (file, size) in enumerate(zip(files, sizes, strict=True)):
             copy.add_file(file, size, _shifted(progress, sum(sizes[:index]), total))
-        if not copy.has_topics and not any(map(_has_magic, files)):
+        if not copy.message_counts and not any(map(_has_magic, files)):
             raise FileError(f"bag {bag} holds nothing that could be recovered: is it an MCAP bag?")
         writer.close()
     except BaseException as error:
@@ -153,7 +153,7 @@ class _Copy:
     """The way of a torn bag's files into a new bag; judges messages for the scanner."""
 
     def __init__(self, writer: BagWriter, metadata: TornMetadata) -> None:
-        self.message_counts: Counter[str] = Counter()
+        self.message_counts: Counter[str] = Counter()  # of each topic, also of empty ones
         self.bytes_left = 0
         self._writer = writer
         self._metadata = metadata
@@ -167,10 +167,6 @@ class _Copy:
         self._certain: set[tuple[type, int]] = set()
         self._defined: set[int] = set()  # channels that the file has defined on the way
         self._has_chunks = False
-
-    @property
-    def has_topics(self) -> bool:
-        return bool(self._numbers)
 
     def knows_channel(self, channel: int) -> bool:
         return channel in self._channels

@@ -181,7 +181,7 @@ def _write_comparison(
 ) -> None:
     """Write recorded and replayed commands as a table, and as a picture."""
     if csv_file is not None:
-        table = np.column_stack([_seconds(found), found.recorded, found.replayed])
+        table = np.column_stack([found.time, found.recorded, found.replayed])
         header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
         with whole_file(csv_file) as file:
             np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.17g")
@@ -235,7 +235,7 @@ def _report(run: Run, found: Replay, weights: ComparedWeights | None) -> str:
     if weights.first is not None:
         first = weights.first
         lines.append(
-            f"first difference of weights after {_seconds(found)[first.step]:.3f} s: {first.name} "
+            f"first difference of weights after {found.time[first.step]:.3f} s: {first.name} "
             f"is recorded as {first.recorded:.6g}, replayed as {first.replayed:.6g}, "
             f"{abs(first.replayed - first.recorded):.3g} apart"
         )
@@ -265,15 +265,10 @@ def _differs(found: Replay, weights: ComparedWeights) -> bool:
     return weights.first is not None or not found.identical[found.answered].all()
 
 
-def _seconds(found: Replay) -> FloatArray:
-    """Return the time of each step since the first [s], shape (N,)."""
-    return np.asarray((found.stamp - found.stamp[0]) * 1e-9)
-
-
 def _differences(found: Replay) -> list[str]:
     """Return where commands first differ, and by how much."""
     answered = found.answered
-    time = _seconds(found)[answered]
+    time = found.time[answered]
     recorded, replayed = found.recorded[answered], found.replayed[answered]
     first = int(np.argmin(found.identical[answered]))
     apart = np.abs(replayed - recorded)

@@ -14,12 +14,11 @@ from adp_path_follower.study.replay.replay import Replay
 
 def view_of_replay(run: Run, replay: Replay) -> RunView:
     """Return the view of a recorded run: its weights as recorded, the rest as replayed."""
-    start = replay.stamp[0]
+    start, time = replay.stamp[0], replay.time
     nothing = Series(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
     critic = run.series.get("critic_weights", nothing)
     actor = run.series.get("actor_weights", nothing)
     count = min(len(critic.stamp), len(actor.stamp))
-    time = (replay.stamp - start) * 1e-9
     # Weights carry no stamp. With one message for each step they belong to the steps in order;
     # else the time of their arrival, which lags, must do.
     every_step = count == len(time)
@@ -43,7 +42,7 @@ def draw_replay(replay: Replay, file: FilePath) -> None:
 
 
 def _figure(replay: Replay) -> Figure:
-    time = (replay.stamp - replay.stamp[0]) * 1e-9
+    time = replay.time
     figure = Figure(figsize=(9.0, 5.0))
     panels = figure.subplots(2, 1, sharex=True)
     for column, (axes, label) in enumerate(zip(panels, ("v [m/s]", "ω [rad/s]"), strict=True)):

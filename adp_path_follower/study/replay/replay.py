@@ -61,6 +61,11 @@ class Replay:
         return self.steps.stamp
 
     @property
+    def time(self) -> FloatArray:
+        """Return the time of each step since the first [s], shape (N,)."""
+        return np.asarray((self.stamp - self.stamp[0]) * 1e-9)
+
+    @property
     def pose(self) -> FloatArray:
         """Return the pose that each step went by, shape (N, 3)."""
         return self.steps.pose
