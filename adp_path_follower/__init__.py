@@ -18,14 +18,7 @@ if TYPE_CHECKING:
     from adp_path_follower.core.driving.driver import Driver
     from adp_path_follower.core.driving.follower import PathFollower
     from adp_path_follower.core.own_basis import register_basis
-    from adp_path_follower.front import (
-        analyze,
-        compare,
-        load_settings,
-        optimum,
-        path,
-        simulate,
-    )
+    from adp_path_follower.front import analyze, compare, load_settings, optimum, path, simulate
     from adp_path_follower.study.comparison.controllers import register_peer
     from adp_path_follower.study.comparison.peers.peer import PeerController
 

@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import (
-    out_option,
-    progress_bar,
-)
+from adp_path_follower.cli.options import out_option, progress_bar
 from adp_path_follower.cli.outputs import output_directory, write_json
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not

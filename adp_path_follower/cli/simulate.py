@@ -41,9 +41,7 @@ from adp_path_follower.study.simulation.simulate import (
     SimulationResult,
     without_nodes,
 )
-from adp_path_follower.study.simulation.simulate import (
-    simulate as run_simulation,
-)
+from adp_path_follower.study.simulation.simulate import simulate as run_simulation
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 
 _ROWS_SHOWN = 20

@@ -8,8 +8,8 @@ from adp_path_follower.core.files import parse_yaml
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import (
     describe_table,
-    group_titles,
     setting_fields,
+    titled_fields,
     yaml_text,
 )
 from sim_unicycle.settings import SimulatorSettings
@@ -81,7 +81,9 @@ def test_the_table_has_a_row_for_every_setting(tree):
         assert f"` {spec.unit}" in row or not spec.unit
         assert all(choice in row for choice in spec.choices)
         assert ("fixed):" in row) is bool(spec.read_only)
-    for title in group_titles(tree).values():
+    titles = [title for title, _ in titled_fields(tree) if title]
+    assert len(titles) == len({field.group for field in fields})
+    for title in titles:
         assert f"### {title}\n" in table
 
 

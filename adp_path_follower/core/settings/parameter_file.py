@@ -9,13 +9,7 @@ import yaml
 
 from adp_path_follower.core.errors import FileError, SettingsError
 from adp_path_follower.core.files import parse_yaml, read_text, read_yaml
-from adp_path_follower.core.settings.schema import (
-    build,
-    flatten,
-    group_titles,
-    setting_fields,
-    yaml_text,
-)
+from adp_path_follower.core.settings.schema import build, flatten, titled_fields, yaml_text
 
 Tree = TypeVar("Tree")
 
@@ -108,13 +102,10 @@ def own_parameters(parameters: Mapping[str, object]) -> dict[str, object]:
 def parameter_file_text(settings: object, node: str) -> str:
     """Return settings as a commented ROS parameter file."""
     lines = [f"/**/{node}:", "  ros__parameters:"]
-    titles = group_titles(type(settings))
     values = flatten(settings)
-    group = ""
-    for field in setting_fields(type(settings)):
-        if field.group != group:
-            group = field.group
-            lines += ["", f"    # --- {titles[group]} ---"]
+    for title, field in titled_fields(type(settings)):
+        if title:
+            lines += ["", f"    # --- {title} ---"]
         unit = f" [{field.spec.unit}]" if field.spec.unit else ""
         symbol = f"{field.spec.symbol}: " if field.spec.symbol else ""
         allowed = f" Allowed: {field.range_text}." if field.range_text else ""

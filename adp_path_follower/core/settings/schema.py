@@ -11,7 +11,7 @@ import difflib
 import functools
 import math
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -222,12 +222,9 @@ def _is_choice(spec: Spec, value: object) -> bool:
 def describe_table(tree: type) -> str:
     """Return the settings of a tree as Markdown lists, one for each group."""
     lines: list[str] = []
-    titles = group_titles(tree)
-    group = ""
-    for field in setting_fields(tree):
-        if field.group != group:
-            group = field.group
-            lines += ["", f"### {titles[group]}", ""]
+    for title, field in titled_fields(tree):
+        if title:
+            lines += ["", f"### {title}", ""]
         spec = field.spec
         symbol = f" {spec.symbol}" if spec.symbol else ""
         default = f"`{yaml_text(field.default)}` {spec.unit}".strip()
@@ -260,9 +257,10 @@ def yaml_text(value: Value) -> str:
     return str(value)
 
 
-def group_titles(tree: type) -> dict[str, str]:
-    """Return the first docstring line of each group of a tree, without its full stop."""
-    hints: dict[str, type] = typing.get_type_hints(tree)
-    return {
-        name: (group.__doc__ or name).splitlines()[0].rstrip(".") for name, group in hints.items()
-    }
+def titled_fields(tree: type) -> Iterator[tuple[str, SettingField]]:
+    """Yield a tree's settings, the first of a group with the title that its docstring gives it."""
+    before = ""
+    for field in setting_fields(tree):
+        title = (_hints(tree)[field.group].__doc__ or "").splitlines()[0].rstrip(".")
+        yield title * (field.group != before), field
+        before = field.group

@@ -10,11 +10,7 @@ from dataclasses import dataclass, field, replace
 from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.raw import frame_of
-from adp_path_follower.ros.controller.path_process import (
-    Fit,
-    reason,
-    route_of_message,
-)
+from adp_path_follower.ros.controller.path_process import Fit, reason, route_of_message
 
 _BENDS_MORE = 3.0  # times its poses: a path that does is told of
 _CLOSING_TIME = 0.5  # [s], longer than most paths take

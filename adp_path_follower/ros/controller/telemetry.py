@@ -54,6 +54,8 @@ _LEVELS = {
     State.STOPPED: DiagnosticStatus.WARN,
     State.FAULT: DiagnosticStatus.ERROR,
 }
+_RICCATI = "Riccati policy instead of the learned one: "
+_IDEAL = "the ideal robot's model instead of the learned one: "
 
 
 class StatusLog:
@@ -254,25 +256,17 @@ class Telemetry:
             values["arc_length [m]"] = f"{float(driver.follower.arc_length):.3f}"
             values["cost"] = f"{float(driver.follower.cost):.6g}"
         values.update(self.robot_model(driver.robot))
-        learning_problem = self._learning_problem
-        level = max(
-            _LEVELS[status.state],
-            DiagnosticStatus.ERROR if path_problem else DiagnosticStatus.OK,
-            DiagnosticStatus.WARN
-            if learning_problem or self._robot_problem or topic_problem
-            else DiagnosticStatus.OK,
-        )
+        level = _LEVELS[status.state]
         message = status.state.value + (f": {status.cause}" if status.cause else "")
-        if path_problem:
-            message += f"; path rejected: {path_problem}"
-        if topic_problem:
-            message += f"; {topic_problem}"
-        if learning_problem:
-            message += f"; Riccati policy instead of the learned one: {learning_problem}"
-        if self._robot_problem:
-            message += (
-                f"; the ideal robot's model instead of the learned one: {self._robot_problem}"
-            )
+        for head, problem, severity in (
+            ("path rejected: ", path_problem, DiagnosticStatus.ERROR),
+            ("", topic_problem, DiagnosticStatus.WARN),
+            (_RICCATI, self._learning_problem, DiagnosticStatus.WARN),
+            (_IDEAL, self._robot_problem, DiagnosticStatus.WARN),
+        ):
+            if problem:
+                level = max(level, severity)
+                message += f"; {head}{problem}"
         details = {
             "state": status.state.value,
             "cause": status.cause,
