@@ -1,10 +1,12 @@
 """Numbers that describe a recorded run of any controller."""
 
+import functools
 import math
 import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -42,16 +44,27 @@ class Metric:
     better: str = "low"  # "low", "high", or empty where neither is
 
 
+def _rms(values: FloatArray) -> float:
+    if not len(values):
+        return math.nan
+    # Whose square may be beyond 1e308 in a damaged bag.
+    largest = float(np.abs(values).max()) or 1.0
+    return largest * float(np.sqrt(np.mean((values / largest) ** 2)))
+
+
+_STATISTICS: dict[str, tuple[str, Callable[[FloatArray], Any]]] = {
+    "rms": ("Root mean square of", _rms),
+    "mean": ("Mean of", np.mean),
+    "median": ("Median of", np.median),
+    "p95": ("95 % quantile of", functools.partial(np.quantile, q=0.95)),
+    "max": ("Largest value of", np.max),
+}
+
+
 def _statistics(name: str, what: str, unit: str) -> tuple[Metric, ...]:
     return tuple(
         Metric(f"{name}_{statistic}", unit, f"{word} {what}")
-        for statistic, word in {
-            "rms": "Root mean square of",
-            "mean": "Mean of",
-            "median": "Median of",
-            "p95": "95 % quantile of",
-            "max": "Largest value of",
-        }.items()
+        for statistic, (word, _) in _STATISTICS.items()
     )
 
 
@@ -198,22 +211,7 @@ def _covered(drive: Drive) -> float:
 def _spread(name: str, values: FloatArray) -> dict[str, float]:
     if not len(values):
         return {}
-    return {
-        f"{name}_rms": _rms(values),
-        f"{name}_mean": float(values.mean()),
-        f"{name}_median": float(np.median(values)),
-        f"{name}_p95": float(np.quantile(values, 0.95)),
-        f"{name}_max": float(values.max()),
-    }
-
-
-def _rms(values: FloatArray) -> float:
-    if not len(values):
-        return math.nan
-    largest = (
-        float(np.abs(values).max()) or 1.0
-    )  # whose square may be beyond 1e308 in a damaged bag
-    return largest * float(np.sqrt(np.mean((values / largest) ** 2)))
+    return {f"{name}_{statistic}": float(of(values)) for statistic, (_, of) in _STATISTICS.items()}
 
 
 def _command_values(drive: Drive) -> dict[str, float]:
