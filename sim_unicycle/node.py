@@ -93,9 +93,7 @@ class SimulatorNode(Ending, Node):
             self._publish(self._settings)
             period = 0.5 * _RESEND_PERIOD
         self.create_timer(
-            period,
-            self._resend if simulation.lockstep else self._tick,
-            clock=steady_clock,
+            period, self._resend if simulation.lockstep else self._tick, clock=steady_clock
         )
         mode = "in lock-step" if simulation.lockstep else f"at {simulation.rate:g} Hz"
         self.get_logger().info(f"simulating {mode}")

@@ -135,14 +135,7 @@ def _run(
             bar.update(int(1000.0 * min(1.0, progress.time / duration)) - bar.pos, None)
 
         bag = run_closed_loop(
-            settings,
-            path,
-            path_name,
-            np.array(PAPER_START),
-            duration,
-            directory,
-            report,
-            simulator,
+            settings, path, path_name, np.array(PAPER_START), duration, directory, report, simulator
         )
         bar.update(1000 - bar.pos)
     return bag

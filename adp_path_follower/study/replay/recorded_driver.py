@@ -27,10 +27,7 @@ class RecordedRoutes:
     """Finds the route of a digest by the paths and settings that are in the bag."""
 
     def __init__(
-        self,
-        run: Run,
-        fixed: Settings | None = None,
-        overlay: Mapping[str, object] | None = None,
+        self, run: Run, fixed: Settings | None = None, overlay: Mapping[str, object] | None = None
     ) -> None:
         """Take a run; the rest is what to prepare its routes with, as in `RecordedDriver`."""
         self._poses = [poses for _, poses in run.paths]

@@ -70,10 +70,7 @@ class _Player:
         }
 
     def play(
-        self,
-        messages: list[tuple[int, str, Any]],
-        rate: float,
-        progress: Callable[[float], None],
+        self, messages: list[tuple[int, str, Any]], rate: float, progress: Callable[[float], None]
     ) -> int:
         """Publish messages (time [ns], key, message) in their time; return how many."""
         count = len(messages)

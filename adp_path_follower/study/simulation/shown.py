@@ -26,12 +26,7 @@ _POINTS, _SAMPLES = 500, 6000  # of a track and of a motion, likewise
 
 
 def shown_run(
-    name: str,
-    path: Path,
-    settings: Settings,
-    found: Trajectories,
-    run: int = 0,
-    among: int = 1,
+    name: str, path: Path, settings: Settings, found: Trajectories, run: int = 0, among: int = 1
 ) -> ShownRun:
     """Return a run of simulated ones as a page shows it, `among` so many."""
     time, pose, beside = found.time, found.pose[run], project(path, found.pose[run])
