@@ -49,7 +49,7 @@ class _Poses:
 def prepare(
     points: ArrayLike,
     settings: PathSettings,
-    headings: ArrayLike | None = None,
+    headings: FloatArray | None = None,
     closed: bool | None = None,
 ) -> Route:
     """Return the route along poses: positions (N, 2) [m] and orientations (N,) [rad].
@@ -137,17 +137,15 @@ def _route(poses: _Poses, said: bool | None, settings: PathSettings) -> Route:
     return _cut_route(poses, said, settings, unfit)
 
 
-def _given_headings(headings: ArrayLike | None, count: int) -> FloatArray | None:
+def _given_headings(headings: FloatArray | None, count: int) -> FloatArray | None:
     """Return the headings of poses, NaN for one that has none, or None for all."""
     if headings is None:
         return None
-    try:
-        array = np.asarray(headings, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise PathError("path has headings that are not numbers") from None
-    if array.shape != (count,):
-        raise PathError(f"path has headings of shape {array.shape}, but must have {count} of them")
-    return np.where(np.isfinite(array), array, np.nan)
+    if headings.shape != (count,):
+        raise PathError(
+            f"path has headings of shape {headings.shape}, but must have {count} of them"
+        )
+    return np.where(np.isfinite(headings), headings, np.nan)
 
 
 def _is_oriented(headings: FloatArray) -> bool:

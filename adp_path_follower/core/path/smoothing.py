@@ -331,7 +331,5 @@ def _four_boxes(values: FloatArray, width: int, mode: str) -> FloatArray:
 
 def _dilated(mask: np.ndarray, reach: int, mode: str) -> np.ndarray:
     """Return where the mask holds, or does within a reach [samples]."""
-    if not mask.any():
-        return mask
     size = min(2 * reach + 1, len(mask))
     return np.asarray(maximum_filter1d(mask.astype(np.uint8), size, mode=mode) > 0)
