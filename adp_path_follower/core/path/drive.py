@@ -8,6 +8,7 @@ distance finds it; between two anchors of the drive the nearest place near both 
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -166,22 +167,18 @@ def _assigned(path: Path, poses: FloatArray, anchors: _Anchors) -> FloatArray:
 def _candidates(path: Path, poses: FloatArray) -> list[_Candidates]:
     """Return the places of least distance for each of poses (A, 3)."""
     samples = path.samples
-    spacing = path.length / (len(samples.arc_length) - 1)
-    thinned = np.arange(0, len(samples.arc_length), max(1, math.floor(_COARSE / spacing)))
-    if not path.closed and thinned[-1] != len(samples.arc_length) - 1:
-        thinned = np.append(thinned, len(samples.arc_length) - 1)
-    if path.closed and thinned[-1] == len(samples.arc_length) - 1:
-        thinned = thinned[:-1]
+    last = len(samples.arc_length) - 1  # which is the first once more, if the path is closed
+    thinned = np.arange(0, last, max(1, math.floor(_COARSE / (path.length / last))))
+    if not path.closed:
+        thinned = np.append(thinned, last)
     x, y = samples.x[thinned], samples.y[thinned]
     found = []
     rows = max(1, _BLOCK // len(thinned))
     for first in range(0, len(poses), rows):
         part = poses[first : first + rows]
         squared = (x - part[:, :1]) ** 2 + (y - part[:, 1:2]) ** 2
-        beyond = (squared[:, -1:], squared[:, :1]) if path.closed else (np.inf, np.inf)
-        padded = np.pad(squared, ((0, 0), (1, 1)), constant_values=np.inf)
-        if path.closed:
-            padded[:, :1], padded[:, -1:] = beyond
+        beyond: dict[str, Any] = {"mode": "wrap"} if path.closed else {"constant_values": np.inf}
+        padded = np.pad(squared, ((0, 0), (1, 1)), **beyond)
         least = (squared < padded[:, :-2]) & (squared <= padded[:, 2:])
         least[np.arange(len(part)), np.argmin(squared, axis=1)] = True
         for pose, row, chosen in zip(part, squared, least, strict=True):

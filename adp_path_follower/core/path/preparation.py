@@ -249,10 +249,11 @@ def _thinned(points: FloatArray, distance: float) -> np.ndarray:
     return np.array(kept)
 
 
-def _cosines(chords: FloatArray) -> FloatArray:
-    """Return the cosine of the turn between each chord and the next, (K - 1,)."""
+def _cosines(chords: FloatArray, apart: int = 1) -> FloatArray:
+    """Return the cosine of the turn between each chord and the one so many on, (K - apart,)."""
     lengths = np.maximum(np.hypot(*chords.T), 1e-12)
-    return np.asarray((chords[:-1] * chords[1:]).sum(axis=1) / (lengths[:-1] * lengths[1:]))
+    products = (chords[:-apart] * chords[apart:]).sum(axis=1)
+    return np.asarray(products / (lengths[:-apart] * lengths[apart:]))
 
 
 def _cusps(points: FloatArray, tolerance: float) -> np.ndarray:
@@ -262,9 +263,7 @@ def _cusps(points: FloatArray, tolerance: float) -> np.ndarray:
     in_two = np.zeros(len(at_once), dtype=bool)
     if len(chords) > 2:
         short = np.hypot(*chords[1:-1].T) < _SHORT * tolerance
-        lengths = np.maximum(np.hypot(*chords.T), 1e-12)
-        along = (chords[:-2] * chords[2:]).sum(axis=1) / (lengths[:-2] * lengths[2:])
-        in_two[:-2] = short & (along < _CUSP)
+        in_two[:-2] = short & (_cosines(chords, 2) < _CUSP)
     for number in np.flatnonzero(in_two).tolist():
         if not at_once[max(number - 1, 0) : number + 2].any():
             at_once[number] = True

@@ -49,6 +49,13 @@ class Grid:
         """Return how scipy's filters go on beyond the ends."""
         return "wrap" if self.closed else "nearest"
 
+    def padded(self, count: int) -> FloatArray:
+        """Return the points with so many more beyond each end, (M + 2 count, 2)."""
+        around = ((count, count), (0, 0))
+        if self.closed:
+            return np.pad(self.values, around, mode="wrap")
+        return np.pad(self.values, around, mode="reflect", reflect_type="odd")
+
 
 @dataclass(frozen=True)
 class Interpolation:
@@ -271,12 +278,7 @@ def _levels(
         reach = 2 * (width - 1)
         if reach >= len(values) - 1:
             return
-        around = ((reach, reach), (0, 0))
-        if grid.closed:
-            padded = np.pad(values, around, mode="wrap")
-        else:
-            padded = np.pad(values, around, mode="reflect", reflect_type="odd")
-        curve = _four_boxes(padded, width, "nearest")[reach:-reach]
+        curve = _four_boxes(grid.padded(reach), width, "nearest")[reach:-reach]
         before, moved = moved, np.hypot(*(curve - anchor).T)
         beyond = moved > budget
         share = (share == 1.0).astype(float)
@@ -314,11 +316,7 @@ def _around(bend: FloatArray, level: int, mode: str) -> FloatArray:
 
 def _bend(grid: Grid) -> FloatArray:
     """Return the curvature of a grid's curve, without sign [1/m], shape (M,)."""
-    curve = grid.values
-    if grid.closed:
-        around = np.vstack([curve[-1:], curve, curve[:1]])
-    else:
-        around = np.vstack([2.0 * curve[0] - curve[1], curve, 2.0 * curve[-1] - curve[-2]])
+    around = grid.padded(1)
     second = around[2:] - 2.0 * around[1:-1] + around[:-2]
     return np.hypot(second[:, 0], second[:, 1]) / grid.step**2
 
