@@ -37,9 +37,7 @@ class Unicycle:
         return self._odometry.arrived
 
     def step(self, command: FloatArray, dt: float) -> None:
-        """Move for a time [s] with a command [v, w] held, shape (..., 2)."""
-        if dt <= 0.0:
-            return
+        """Move for a time above 0 [s] with a command [v, w] held, shape (..., 2)."""
         plant = self.plant
         lowest = np.array([plant.min_linear_vel, -plant.max_angular_vel])
         highest = np.array([plant.max_linear_vel, plant.max_angular_vel])
