@@ -67,14 +67,15 @@ def test_outputs_in_reverse_are_those_of_the_real_robot():
     driver = Driver(REVERSING)
     driver.follow(Route((Segment(Path.from_points(wave()), reverse=True),)))
     poses, outputs, _ = drive(driver, [0.0, 0.2, math.pi], 400)
-    for pose, output in zip(poses, outputs, strict=True):
+    for pose, output, after in zip(poses, outputs, outputs[1:], strict=False):
         np.testing.assert_allclose(
             output.error, tracking_error(pose, output.target_pose), atol=1e-9
         )
         assert -0.4 - 1e-12 <= output.command[0] <= 1.0
         feedforward = output.command - output.modified_input
         assert feedforward[0] == pytest.approx(-0.4)  # v_ss, of the speed in reverse
-        assert feedforward[1] == pytest.approx(feedforward[0] * output.curvature)
+        halfway = 0.5 * (output.curvature + after.curvature)  # while the command is held
+        assert feedforward[1] == pytest.approx(feedforward[0] * halfway, abs=2e-4)
     assert np.hypot(*outputs[-1].error[:2]) < 0.05
 
 
