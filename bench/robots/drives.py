@@ -104,9 +104,10 @@ def drive(
                 odometry = found
         time = tick * PERIOD
         if odometry is not None:
-            if start is None:
-                start = time
             command = control(time, odometry)
+            if start is None and command.any():  # one that is behind a network answers later
+                start = time
+        if start is not None:
             frame, error = target.move(plant.pose, PERIOD if before is not None else 0.0)
             v_des = target.v_des
             extra = plant.twist - error_dynamics.feedforward(frame.curvature[()], v_des)

@@ -27,6 +27,7 @@ _LONGEST_GAP = 1.0  # [s] between two steps of a robot that was controlled all t
 _SHORTEST_PERIOD = 1e-6  # [s]
 _LONGEST_PERIOD = 0.1  # [s]: after a pause a command does not make up for it
 _GRIP = 2.0  # [m/s^2] that motors and floors give to most robots
+_LONG_AGO = -10.0  # [s]: by now it does what it was told
 _CLIPPED = 0.02  # [m/s, rad/s] by which a limit changes a command
 
 
@@ -64,6 +65,8 @@ class Robot:
         """Begin with the model of the settings, or with one that was learned before."""
         self.settings = settings
         self.measured = False  # whether its motion was known at the last step
+        self._last = np.zeros(2)  # the command that it was sent last, and ...
+        self._compensated = False  # ... whether that is another one than the controller wanted
         self.reset(RobotModel(*learned) if learned else None)
 
     def reset(self, learned: RobotModel | None = None) -> None:
@@ -74,15 +77,16 @@ class Robot:
             self.model = start = learned
         self._kind = self.settings.robot.robot_model
         self._learns = self._kind == "learned"
-        self._history = CommandHistory()
-        self._history.ramps = start.ramps
+        self._history = self._begun_history()
         self._estimator = StateEstimator(start, self._learns)
         self._bank = ResponseBank(start)
         self._trial = Trial()
         self._found = self._unknown = self._bank.response()
         self._origin: int | None = None
         self._now = self._review = 0.0
-        self._period, self._rate = 0.0, np.zeros(2)  # from the last command to the next
+        # From the last command to the next.
+        self._period = 1.0 / self.settings.controller.controller_frequency
+        self._rate = np.zeros(2)
         self._reading: tuple[float, float, float] | None = None
         self._acting: RobotState | None = None  # when the next command begins to act
         self._ahead = 0.0
@@ -103,10 +107,18 @@ class Robot:
         self._estimator.forget_state()
         self._bank.restart()
         self._trial.restart()
-        self._history = CommandHistory()
-        self._history.ramps = self.model.ramps
+        self._history = self._begun_history()
         self._now = self._review = 0.0
         self._acting = self._reading = None
+
+    def _begun_history(self) -> CommandHistory:
+        """Return a history of what the robot is doing since long ago."""
+        history = CommandHistory()
+        history.ramps = self.model.ramps
+        if self._last.any():
+            v, w = self._last.tolist()
+            history.send(_LONG_AGO, (v, w))
+        return history
 
     @property
     def problem(self) -> str:
@@ -222,26 +234,29 @@ class Robot:
 
     def command(self, wanted: FloatArray) -> FloatArray:
         """Return what to send for a motion [V, W] that the controller wants, shape (2,)."""
-        if self._acting is None:
+        if self._acting is None and not self._compensated:
             self._send(wanted)
             return wanted
-        settings = self.settings
-        found = compensated(self.model, self._acting, wanted, self._ahead, self._period)
-        limits = settings.limits
-        command = np.minimum(np.maximum(found, limits.lower), limits.upper)
-        command = let_through(self.model, command, self._history.reached(self._now), self._period)
+        settings, found = self.settings, wanted
+        limits, command = settings.limits, wanted
+        if self._acting is not None:
+            found = compensated(self.model, self._acting, wanted, self._ahead, self._period)
+            command = np.minimum(np.maximum(found, limits.lower), limits.upper)
+            reached = self._history.reached(self._now)
+            command = let_through(self.model, command, reached, self._period)
         if settings.motion.limited:
-            last = np.array(self._history.last)
             command = limited_command(
-                command, last, self._rate, limits, settings.motion, self._period
+                command, self._last, self._rate, limits, settings.motion, self._period
             )
-            self._rate = (command - last) / self._period
+            self._rate = (command - self._last) / self._period
+        self._compensated = bool((command != wanted).any())
         clipped = bool((np.abs(command - found) > _CLIPPED).any())
         self._estimator.frozen = clipped or self._bank.unanswered or self._bank.hurried
         self._send(command)
         return command
 
     def _send(self, command: FloatArray) -> None:
+        self._last = command
         if self._origin is not None:
             v, w = command.tolist()
             self._history.send(self._now, (v, w))
@@ -249,6 +264,7 @@ class Robot:
     def note(self, command: FloatArray) -> None:
         """Note a command, shape (2,), that is not the controller's: a stop, a turn on the spot."""
         self._send(command)
+        self._compensated = False
         self._bank.restart()
 
     def learn(self) -> None:

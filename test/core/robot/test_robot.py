@@ -13,6 +13,7 @@ from robots import TYPICAL, Robot
 
 from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.core.geometry import advance_pose
 from adp_path_follower.core.learning.weights_file import decode, encode
 from adp_path_follower.core.path.library import circle
 from adp_path_follower.core.settings.groups import Settings
@@ -119,6 +120,28 @@ def test_reset_forgets_the_robot():
     assert models.driver.robot.model.delay > 0.0
     models.driver.reset_learning()
     assert models.driver.robot.model.ideal
+
+
+@pytest.mark.parametrize("order", ["ideal given", "given ideal", "given given", "learned given"])
+def test_another_model_takes_over_without_a_jump_of_the_command(order):
+    limits = {"max_angular_accel": 3.0, "max_linear_accel": 1.0, "max_linear_decel": 1.0}
+    given = {"robot_gains": [1.1, 0.9], "robot_lags": [0.1, 0.1]}
+    known = {"ideal": {}, "learned": {}, "given": given}
+    kinds = [settings(kind, **limits, **known[kind]) for kind in order.split()]
+    if kinds[0] == kinds[1]:
+        kinds[1] = kinds[1].with_changes(robot_gains=[0.9, 1.1])
+    driver = Driver(kinds[0])
+    driver.follow(PATH)
+    pose, twist, commands = start_pose(PATH, START), np.zeros(2), []
+    for step in range(1, 301):
+        if step == 150:
+            driver.take_over(driver.prepared(kinds[1]))
+        output = driver.step(pose, 10_000_000 * step, np.array([*twist, 0.0]))
+        twist = output.command
+        pose = advance_pose(pose, *twist, 0.01)
+        commands.append(output.command)
+    assert (np.abs(np.diff(commands, axis=0)) <= [0.01 + 1e-9, 0.03 + 1e-9]).all()
+    assert commands[149][0] > 0.3  # it was driving
 
 
 def test_encoders_with_the_wrong_sign_do_no_more_harm_than_before():
