@@ -176,7 +176,7 @@ def test_a_path_shorter_than_the_tolerance_is_no_way_to_drive(heading, toward):
         if step >= 300 and step % 30 == 0:  # the first one comes at full speed
             way[:] = robot.pose[:2]
             way[1] += 0.02 * np.array([math.cos(toward), math.sin(toward)])
-            headings = None if heading is None else [0.0, heading]
+            headings = None if heading is None else np.array([0.0, heading])
             driver.follow(prepare(way, PathSettings(), headings))
         commands.append(driver.command_for(robot.pose, step * PERIOD).command)
         if driver.at_goal:
