@@ -6,14 +6,14 @@
 J is taken along the true motion; distances are those of the true pose after 8 s. "Best" means at
 least as good as every variant of every peer on that robot, so each peer is tuned for each robot.
 
-Robots on MuJoCo (mujoco_results.json has `ideal` and the peers of 200; with it as the cache, others
-are driven and added):
+200 robots on MuJoCo (mujoco_results.json; with it as the cache, only what it lacks is driven):
 
 | contender | best in J | in RMS | in both | worst J | worst RMS | median RMS [mm] | variation |
 |---|---|---|---|---|---|---|---|
-| ideal (200) | 42 % | 3 % | 3 % | 2.34 | 18.4 | 32.4 | 1.17 |
-| learned (0 to 73) | 99 % | 95 % | 93 % | 1.55 | 1.17 | 2.6 | 0.80 |
-| best peer (200) | | | | | | 7.2 | |
+| ideal | 44 % | 2 % | 2 % | 2.28 | 18.1 | 31.8 | 1.17 |
+| learned | 96 % | 96 % | 94 % | 1.52 | 1.19 | 2.8 | 0.82 |
+| known | 98 % | 100 % | 98 % | 1.43 | 1.18 | 2.1 | 0.73 |
+| best peer | | | | | | 7.1 | |
 
 Worst are ratios to the best peer's. Learned robots lose in RMS where the pose has 1 to 2 cm of
 noise, and in J where it is small, and the launch is most of it.
