@@ -124,7 +124,7 @@ def test_a_late_publisher_that_offers_less_is_recorded(peer, start, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_loses_nothing(peer, start, tmp_path, number):
     bag = tmp_path / "bag"
-    numbers = peer.node.create_publisher(Float64, "number", 1000)
+    numbers = peer.node.create_publisher(Float64, "number", 4000)  # keeps all for a late reader
     recorder = start(
         "recorder", output=str(bag), topics=("number",), compression="zstd", max_size=100_000
     )
