@@ -14,7 +14,7 @@ _PATH_POINTS = 4000  # of all paths, shared by the bags
 _LEAST_PATH_POINTS = 12  # of each path, however many there are
 _BINS = 60
 KINDS = ("state", "fault", "warning", "parameter", "path")
-_LEAST_DISTANCE = 1e-6  # [m] that colours are told apart for
+_LEAST_DISTANCE = 1e-4  # [m] at which colours end at least: nobody sees less
 _GREATEST = 1e30  # that is drawn; the page has single precision, and the axes need room beyond
 
 
