@@ -284,7 +284,7 @@ class Driver:
                 return turning
         assert self.follower is not None  # one has just begun, if there was none
         self.follower.law.robot_is_ideal = self.robot.ideal
-        self.follower.keep_within(self.robot.acceleration)
+        self.follower.reference.keep_within(self.robot.acceleration)
         facing_ahead = self._present.heading_of_path(ahead)
         self.output = self.follower.step_at(facing_ahead, then, learn=False)
         self._to_learn = True

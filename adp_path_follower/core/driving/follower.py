@@ -157,10 +157,6 @@ class PathFollower:
             observation = Observation(self.arc_length, lambda: previous.measured)
             self._learner.learn(observation, self._period)
 
-    def keep_within(self, ramp: float) -> None:
-        """Change the speed along the path no faster than a ramp of the robot [m/s^2]."""
-        self.reference.keep_within(ramp)
-
     def lead(self, pose: FloatArray, ahead: FloatArray, time: float) -> None:
         """Let the target move on before the first step, as commands take a time [s] to act.
 

@@ -115,7 +115,8 @@ def _with_goal(
     if not (_is_oriented(headings) or wanted):
         return route
     turn = float(wrap_angle(wanted - turned - _end_heading(route.segments[-1]))) + turned
-    turns = abs(turn) > (_ALIGNED if route.length > _NO_WAY else -1.0)  # which no number is
+    least = _ALIGNED if route.length > _NO_WAY else -1.0  # a path that is no way only turns
+    turns = abs(turn) > least  # which no number is
     return replace(route, goal_heading=wanted, goal_turn=turn) if turns else route
 
 
