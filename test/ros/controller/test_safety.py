@@ -204,10 +204,11 @@ def test_a_node_that_hangs_does_not_keep_the_robot_going_and_replays(
         peer.until(lambda: commands and not is_zero(commands[-1]), "motion")
         os.mkfifo(gate)
         peer.until(lambda: is_zero(commands[-1]), "zero velocity while it hangs")
-        assert "fault: no" not in log.read_text()  # it hangs still, and cannot say so
+        assert "fault: " not in log.read_text()  # it hangs still, and cannot say so
         with gate.open("w"):
             gate.unlink()  # and it goes on
-        peer.until(lambda: "fault: no" in log.read_text(), "its end")
+        # It has had no odometry or sent no command, or the first it hears of is old by its stamp.
+        peer.until(lambda: "fault: " in log.read_text(), "its end")
         commands.clear()
         peer.until(lambda: len(commands) > 20 and not is_zero(commands[-1]), "motion again")
     recorder.stop()
