@@ -19,8 +19,7 @@ import adp_path_follower
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learning.bellman import BellmanErrors
-from adp_path_follower.core.learning.learner import Observation
+from adp_path_follower.core.learning.bellman import BellmanErrors, Observation
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings

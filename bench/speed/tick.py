@@ -22,8 +22,8 @@ from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import FloatArray, advance_pose
 from adp_path_follower.core.learning.bellman import excitation
-from adp_path_follower.core.learning.grid_model import SampledModel
 from adp_path_follower.core.learning.knot_model import KnotModel, fit
+from adp_path_follower.core.learning.paper_learner import SampledModel
 from adp_path_follower.core.learning.update_laws import update_weights
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import circle, lissajous

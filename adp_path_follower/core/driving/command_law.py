@@ -34,7 +34,7 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray, Number, components, cos, inner, numbers, sin
 from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
-from adp_path_follower.core.learning.learner import Learner
+from adp_path_follower.core.learning.path_learner import Learner
 from adp_path_follower.core.learning.weights import LocalWeights
 from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedProfile

@@ -13,10 +13,9 @@ from adp_path_follower.core.driving.arrival import Goal
 from adp_path_follower.core.driving.command_law import CommandLaw
 from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learning.bellman import BellmanErrors
-from adp_path_follower.core.learning.learner import Learner, Observation
+from adp_path_follower.core.learning.bellman import BellmanErrors, Observation
 from adp_path_follower.core.learning.paper_learner import PathStateLearner
-from adp_path_follower.core.learning.path_learner import PathLearner
+from adp_path_follower.core.learning.path_learner import Learner, PathLearner
 from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.learning.weights_file import SavedWeights, difference, problem_settings
 from adp_path_follower.core.path.curve import Path

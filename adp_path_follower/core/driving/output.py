@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learning.bellman import BellmanErrors
-from adp_path_follower.core.learning.learner import SampleEvidence
+from adp_path_follower.core.learning.bellman import BellmanErrors, SampleEvidence
 from adp_path_follower.core.learning.weights import Weights
 
 

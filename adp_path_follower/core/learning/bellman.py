@@ -1,5 +1,6 @@
 """Bellman errors, their regressors and the excitation certificate."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,24 @@ class BellmanErrors:
     def excitation(self) -> FloatArray:
         """Return the smallest singular value of the rank condition's matrix, shape (...)."""
         return excitation(self.information)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The robots' places and measurements, of which a learner takes those that it needs."""
+
+    arc_length: FloatArray  # where their targets are [m], shape (...)
+    # Returns the Bellman errors of the present weights at the measured states.
+    measure: Callable[[], BellmanErrors]
+    # How far ahead of the targets to settle weights that change along the path [m].
+    distance: float = 0.0
+
+
+@dataclass(frozen=True)
+class SampleEvidence:
+    """How well the samples of each robot's latest knot determine its weights."""
+
+    excitation: FloatArray  # the certificate, shape (...); not a number before the first knot
 
 
 def bellman_errors(

@@ -7,9 +7,13 @@ import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray, Number, clamped
-from adp_path_follower.core.learning.learner import initial_weights
 from adp_path_follower.core.learning.update_laws import surely_finite
-from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
+from adp_path_follower.core.learning.weights import (
+    LearnedWeights,
+    LocalWeights,
+    Weights,
+    initial_weights,
+)
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings

@@ -18,16 +18,11 @@ import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.learning.knot_critic import KnotCritic
+from adp_path_follower.core.learning.bellman import Observation, SampleEvidence
 from adp_path_follower.core.learning.knot_model import knot_model
 from adp_path_follower.core.learning.knot_weights import KnotWeights
-from adp_path_follower.core.learning.learner import (
-    Learner,
-    Observation,
-    SampleEvidence,
-    actor_bound,
-)
-from adp_path_follower.core.learning.sweep import Group, Sweep
+from adp_path_follower.core.learning.paper_learner import PathStateLearner
+from adp_path_follower.core.learning.sweep import Group, KnotCritic, Sweep
 from adp_path_follower.core.learning.update_laws import follow
 from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
 from adp_path_follower.core.path.curve import Path
@@ -70,7 +65,9 @@ class PathLearner:
         self._settings, self._learning, self._path = settings, learning, path
         self._profile = profile if profile is not None else SpeedProfile(path, settings)
         self._shape, self._count = shape, math.prod(shape)
-        self._bound = actor_bound(learning, riccati)
+        # The actor's norm may be that of the Riccati solution's weights at least.
+        safe = learning.value_basis.quadratic_weights(riccati.table)
+        self._bound = max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
         self._knots = KnotWeights(settings, path, riccati, self._profile, self._count)
         self._window = self._knots.window
         self._model = knot_model(settings, self._knots.spacing, self._profile.varies)
@@ -283,7 +280,7 @@ class PathLearner:
         self._reach[:] = self._window
         return not self._problems
 
-    def take_over(self, previous: Learner) -> None:
+    def take_over(self, previous: "Learner") -> None:
         """Take over the weights of a learner of the same robots, path and problem."""
         if not isinstance(previous, PathLearner) or previous._path is not self._path:
             return
@@ -309,3 +306,6 @@ class PathLearner:
             self._reach[:] = min(learned.reach, self._window)
             self._resting_at = b""
         return problem
+
+
+Learner = PathLearner | PathStateLearner

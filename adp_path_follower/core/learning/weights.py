@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.control.riccati import RiccatiSchedule
+from adp_path_follower.core.geometry import FloatArray, Number
+from adp_path_follower.core.settings.learning import LearningSettings
 
 
 @dataclass(frozen=True)
@@ -37,3 +39,22 @@ class LearnedWeights:
     speed: FloatArray  # v_des [m/s] there, shape (K,)
     critic: FloatArray  # critic weights there, shape (K, L)
     actor: FloatArray  # actor weights there, shape (K, L)
+
+
+def initial_weights(
+    learning: LearningSettings,
+    riccati: RiccatiSchedule,
+    curvature: FloatArray,
+    speed: Number,
+) -> Weights:
+    """Return the first weights at curvatures [1/m] and speeds [m/s] (...), shape (..., L)."""
+    size = len(learning.value_basis.labels)
+    if learning.initial_weights == "riccati":
+        weights = learning.value_basis.quadratic_weights(riccati.matrix(curvature, speed))
+        return Weights(weights, weights.copy())
+
+    def listed(values: tuple[float, ...]) -> FloatArray:
+        padded = np.array([*values, *[0.0] * (size - len(values))])
+        return np.broadcast_to(padded, (*curvature.shape, size)).copy()
+
+    return Weights(listed(learning.initial_critic_weights), listed(learning.initial_actor_weights))

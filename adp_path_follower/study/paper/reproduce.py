@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame
 from adp_path_follower.core.learning.bellman import excitation
-from adp_path_follower.core.learning.grid_model import SampledModel
+from adp_path_follower.core.learning.paper_learner import SampledModel
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings

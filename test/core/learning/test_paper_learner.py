@@ -11,11 +11,10 @@ from hypothesis.extra import numpy as npst
 from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import pose_in_frame
-from adp_path_follower.core.learning.bellman import bellman_errors
-from adp_path_follower.core.learning.learner import Observation, initial_weights
+from adp_path_follower.core.learning.bellman import Observation, bellman_errors
 from adp_path_follower.core.learning.paper_learner import PathStateLearner
 from adp_path_follower.core.learning.update_laws import follow, least_squares
-from adp_path_follower.core.learning.weights import Weights
+from adp_path_follower.core.learning.weights import Weights, initial_weights
 from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import (
     CostSettings,

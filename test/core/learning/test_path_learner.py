@@ -11,7 +11,7 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solu
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
 from adp_path_follower.core.learning import knot_weights
-from adp_path_follower.core.learning.learner import Observation
+from adp_path_follower.core.learning.bellman import Observation
 from adp_path_follower.core.learning.path_learner import PathLearner
 from adp_path_follower.core.path.library import circle, lissajous, named_path
 from adp_path_follower.core.settings.groups import Settings

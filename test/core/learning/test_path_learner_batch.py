@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.learning import knot_weights, path_learner
-from adp_path_follower.core.learning.learner import Observation
+from adp_path_follower.core.learning.bellman import Observation
 from adp_path_follower.core.learning.path_learner import PathLearner
 from adp_path_follower.core.path.library import circle, lissajous, named_path
 from adp_path_follower.core.path.speed_profile import SpeedProfile

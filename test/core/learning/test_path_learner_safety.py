@@ -9,8 +9,8 @@ import pytest
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
-from adp_path_follower.core.learning import knot_critic
-from adp_path_follower.core.learning.learner import Observation
+from adp_path_follower.core.learning import sweep
+from adp_path_follower.core.learning.bellman import Observation
 from adp_path_follower.core.learning.path_learner import PathLearner
 from adp_path_follower.core.path.library import circle, lissajous
 from adp_path_follower.core.settings.groups import Settings
@@ -141,7 +141,7 @@ def test_weights_of_another_path_or_of_another_learner_are_not_taken_over():
 @pytest.mark.parametrize("cause", ["bound", "residual"])
 def test_a_critic_that_is_not_to_be_trusted_leaves_the_riccati_policy(cause, monkeypatch):
     if cause == "residual":
-        monkeypatch.setattr(knot_critic, "_MOST_RESIDUAL", 1e-4)
+        monkeypatch.setattr(sweep, "_MOST_RESIDUAL", 1e-4)
     drive = Drive(NARROW_BOUND if cause == "bound" else {})
     drive.steps(150)
     follower = drive.follower

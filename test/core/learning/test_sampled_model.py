@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from adp_path_follower.core.learning.bellman import bellman_errors, excitation
-from adp_path_follower.core.learning.grid_model import SampledModel
+from adp_path_follower.core.learning.paper_learner import SampledModel
 from adp_path_follower.core.learning.samples import sample_grid
 from adp_path_follower.core.path.library import circle, lissajous
 from adp_path_follower.core.settings.groups import Settings
