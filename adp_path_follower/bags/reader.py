@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.columns import Columns, Series
+from adp_path_follower.bags.definitions import Reading, as_jazzy
 from adp_path_follower.bags.topics import SERIES, Choice, chosen_topics
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
@@ -170,21 +171,25 @@ class _Collector:
         self._configurations: list[tuple[int, str]] = []
         self._diagnostics: list[Diagnostic] = []
         self._said: dict[str, tuple[int, str]] = {}
-        self._last_path = b""
+        self._last_path: bytes | None = None
         self._initial_weights = b""
         self._undecodable: dict[str, int] = {}  # key -> messages
         self._columns: dict[str, Columns] = {}
-        self._handlers: dict[int, Callable[[int, bytes], None]] = {}
+        # Connection -> what takes its messages, and what makes them those of ROS 2 Jazzy.
+        self._handlers: dict[int, tuple[Callable[[int, bytes], None], Reading]] = {}
         keys = {topic: key for key, topic in self._topics.items()}
         for connection in reader.connections:
             key, kind = keys.get(connection.topic), connection.msgtype
             if key is None or kind != choice.kinds[key]:
                 continue
-            if key in SERIES:
-                columns = self._columns.setdefault(key, Columns(kind))
-                self._handlers[connection.id] = columns.take
-            else:
-                self._handlers[connection.id] = self._handler(key, kind)
+            try:
+                convert = as_jazzy(connection)
+            except FileError as error:
+                if key in _NEEDED:
+                    raise
+                self._notes.append(f"{error}: passed over")
+                continue
+            self._handlers[connection.id] = self._handler(key, kind), convert
 
     def take(self, connection: Connection, time: int, raw: bytes) -> None:
         """Take one message that arrived at a time [ns]."""
@@ -194,7 +199,8 @@ class _Collector:
         self._counts[topic] = self._counts.get(topic, 0) + 1
         handler = self._handlers.get(connection.id)
         if handler is not None:
-            handler(time, raw)
+            take, convert = handler
+            take(time, convert(raw))
 
     def run(self) -> Run:
         """Return what was collected; FileError if no odometry, or no path, can be decoded."""
@@ -229,7 +235,9 @@ class _Collector:
         self._notes.append(f"topic {topic}: {count} of {total} messages {reason}: passed over")
 
     def _handler(self, key: str, kind: str) -> Callable[[int, bytes], None]:
-        """Return what takes the messages of a topic that is not a series of numbers."""
+        """Return what takes the messages of a topic."""
+        if key in SERIES:
+            return self._columns.setdefault(key, Columns(kind)).take
         take = {
             "path": self._take_path,
             "goal_path": self._take_path,

@@ -6,6 +6,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from adp_path_follower.bags.definitions import as_jazzy
 from adp_path_follower.bags.reader import opened_bag
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.messages.cdr import CdrError
@@ -97,7 +98,9 @@ def read_transforms(bag: FilePath) -> Transforms:
             for connection in reader.connections
             if connection.topic.rpartition("/")[2] in _TOPICS and connection.msgtype == _TYPE
         ]
+        readings = {connection.id: as_jazzy(connection) for connection in wanted}
         for connection, time, raw in reader.messages(wanted) if wanted else ():
             with contextlib.suppress(CdrError):
-                found.take(time, bytes(raw), connection.topic.endswith("tf_static"))
+                content = readings[connection.id](raw)
+                found.take(time, content, connection.topic.endswith("tf_static"))
     return found

@@ -17,6 +17,7 @@ from adp_path_follower.core.geometry import FloatArray
 HEADER = 4  # bytes of encapsulation before the first field
 STAMP = 8  # bytes
 _NUMBER = 8  # bytes
+_PADDING = 7  # [bytes], the most behind the last field
 
 
 class CdrError(ValueError):
@@ -47,6 +48,14 @@ def text_at(raw: bytes, at: int, order: str) -> tuple[str, int]:
 def too_short() -> CdrError:
     """Return the error of a message that ends before its last field."""
     return CdrError("the message is shorter than its fields")
+
+
+def check_end(message: bytes, end: int) -> None:
+    """Raise CdrError where the last field of a message ends elsewhere than the message itself."""
+    if end > len(message):
+        raise too_short()
+    if len(message) - end > _PADDING:  # by another definition its numbers are others
+        raise CdrError("the message is longer than its fields")
 
 
 @dataclass(frozen=True)
@@ -153,6 +162,5 @@ class MessageDecoder:
                 at = aligned(text(at), 4) + 8  # behind size and stride
             count, at = length(aligned(at, 4) + 4), aligned(at, 4) + 8  # behind data_offset
         start = aligned(at, _NUMBER) if count else at
-        if start + _NUMBER * count > len(message):
-            raise too_short()
+        check_end(message, start + _NUMBER * count)
         return _Layout(order, tuple(lengths), start, count, found[0] if found else "")

@@ -20,6 +20,7 @@ from adp_path_follower.messages.cdr import (
     CdrError,
     aligned,
     byte_order,
+    check_end,
     text_at,
     too_short,
 )
@@ -110,6 +111,7 @@ def read_transforms(raw: bytes) -> list[Transform]:
             at = aligned(at, 8) + _POSE
             pose = x, y, yaw_of_quaternion(*turn)
             found.append(Transform(seconds * _NANOSECONDS + nanoseconds, parent, child, pose))
+        check_end(raw, at)
     except struct.error:
         raise too_short() from None
     return found
@@ -181,8 +183,7 @@ def _numbers(raw: bytes, at: int, count: int, order: str) -> FloatArray:
             _, end = text_at(raw, aligned(at, 4) + STAMP, order)
             places[number] = aligned(end, 8)
             at = int(places[number]) + _POSE
-    if places[-1] + _POSE > len(raw):
-        raise too_short()
+    check_end(raw, int(places[-1]) + _POSE)
     step = int(places[1] - places[0]) if count > 1 else _POSE
     if count == 1 or (np.diff(places) == step).all():
         found = np.ndarray((count, 7), f"{order}f8", raw, int(places[0]), (step, 8))

@@ -3,11 +3,12 @@
 import functools
 
 from mcap.records import Schema
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from adp_path_follower.bags.definitions import types_of
+
 _MOST_BYTES = 1024 * 1024  # of a definition; ROS's longest have 50 kB
-_IDL_LINE = "=" * 80 + "\n"
 _ROS_ENCODINGS = ("ros2msg", "ros2idl", "omgidl")
 _FOREIGN_ENCODINGS = ("ros1msg", "protobuf", "flatbuffer", "jsonschema")
 
@@ -27,13 +28,7 @@ class MessageDefinition:
         if not self.is_ros or len(data) > _MOST_BYTES:
             return
         try:
-            store = get_typestore(Stores.EMPTY)
-            if encoding == "ros2msg":
-                store.register(get_types_from_msg(data.decode(), name))
-            else:
-                for part in data.decode().split(_IDL_LINE):
-                    body = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
-                    store.register(get_types_from_idl(body) if body.strip() else {})
+            store = types_of(name, data.decode(), encoding == "ros2msg")
             self.type_hash = store.hash_rihs01(name)
             self._store = store
         except Exception:  # rosbags' parser has no common error

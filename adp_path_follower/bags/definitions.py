@@ -1,0 +1,132 @@
+"""Read messages by the definition of their type in the bag, where ROS 2 Jazzy's is another one."""
+
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat, Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from adp_path_follower.core.errors import FileError
+
+# Nothing is computed from these: where a bag's definition lacks them, they are zero or empty.
+_NOT_NEEDED = ("covariance", "frame_id", "child_frame_id", "hardware_id")
+_TEXTS = ("string", "wstring")
+_IDL_LINE = "=" * 80 + "\n"
+
+
+Reading = Callable[[bytes], bytes]
+
+
+def as_jazzy(connection: Connection) -> Reading:
+    """Return what makes messages of a connection those that ROS 2 Jazzy would have written.
+
+    Fields go by their names; others than Jazzy's are passed over. Raises FileError if the bag's
+    definition of the type lacks a field that is needed, or has it of another type.
+    """
+    kind = connection.msgtype
+    theirs = _store_of(connection.msgdef, kind)
+    ours = get_typestore(Stores.ROS2_JAZZY)
+    if theirs is None or kind not in ours.fielddefs or _same(theirs, ours, kind):
+        return bytes
+    problem = next(_problems(theirs, ours, kind), "")
+    if problem:
+        raise FileError(
+            f"topic {connection.topic} cannot be read: the bag defines {problem}; convert the bag, "
+            "or record with the message packages of ROS 2 Jazzy"
+        )
+
+    def converted(raw: bytes) -> bytes:
+        try:
+            message = theirs.deserialize_cdr(raw, kind)
+            return bytes(ours.serialize_cdr(_taken(ours, (Nodetype.NAME, kind), message), kind))
+        except Exception:  # whatever a damaged message does to the library
+            return b""
+
+    return converted
+
+
+@functools.lru_cache(maxsize=256)
+def _store_of(definition: MessageDefinition, kind: str) -> Typestore | None:
+    """Return the types of a definition; None without one, or with one that is not understood."""
+    if definition.format == MessageDefinitionFormat.NONE:
+        return None
+    try:
+        return types_of(kind, definition.data, definition.format == MessageDefinitionFormat.MSG)
+    except Exception:  # rosbags' parser has no common error
+        return None
+
+
+def types_of(kind: str, text: str, is_msg: bool) -> Typestore:
+    """Return the types in a definition, of .msg or of IDL files; rosbags' errors if it is wrong."""
+    store = get_typestore(Stores.EMPTY)
+    if is_msg:
+        store.register(get_types_from_msg(text, kind))
+        return store
+    for part in text.split(_IDL_LINE):
+        body = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
+        store.register(get_types_from_idl(body) if body.strip() else {})
+    return store
+
+
+def _fields(store: Typestore, kind: str) -> dict[str, Any]:
+    return dict(store.fielddefs[kind][1])
+
+
+def _same(theirs: Typestore, ours: Typestore, kind: str) -> bool:
+    """Return whether both define a type, and all types in it, with the same fields."""
+    fields = ours.fielddefs[kind][1]
+    return theirs.fielddefs[kind][1] == fields and all(
+        _same(theirs, ours, inner) for _, field in fields if (inner := _named(field))
+    )
+
+
+def _element(field: Any) -> Any:
+    """Return the type of a field, or of what it is many of."""
+    return field[1][0] if field[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else field
+
+
+def _named(field: Any) -> str:
+    """Return the name of the message type in a field, empty for numbers and texts."""
+    node, content = _element(field)
+    return str(content) if node == Nodetype.NAME else ""
+
+
+def _shape(field: Any) -> str:
+    """Return in words what a field is."""
+    node, content = element = _element(field)
+    kind = "text" if node == Nodetype.BASE and content[0] in _TEXTS else "number"
+    kind = _named(element) or kind
+    return kind if element is field else f"array of {kind}"
+
+
+def _problems(theirs: Typestore, ours: Typestore, kind: str) -> Iterator[str]:
+    """Yield how their type lacks what is needed of ours."""
+    known = _fields(theirs, kind)
+    for name, field in _fields(ours, kind).items():
+        if name not in known:
+            if name not in _NOT_NEEDED:
+                yield f"{kind} without the field '{name}'"
+        elif _shape(known[name]) != _shape(field):
+            yield f"the field '{name}' of {kind} as {_shape(known[name])}, not as {_shape(field)}"
+        elif inner := _named(field):
+            yield from _problems(theirs, ours, inner)
+
+
+def _taken(ours: Typestore, field: Any, value: Any) -> Any:
+    """Return a value of the bag's type as one of ours; None stands for one that is missing."""
+    node, content = field
+    if node == Nodetype.NAME:
+        parts = {
+            name: _taken(ours, inner, getattr(value, name, None))
+            for name, inner in _fields(ours, content).items()
+        }
+        return ours.types[content](**parts)
+    if node == Nodetype.BASE:
+        return value if value is not None else "" if content[0] in _TEXTS else 0
+    element, length = content
+    if element[0] == Nodetype.NAME or element[1][0] in _TEXTS:
+        return [_taken(ours, element, item) for item in value or ()]
+    return np.zeros(length) if value is None else np.asarray(value, dtype=element[1][0])
