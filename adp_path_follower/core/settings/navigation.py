@@ -17,6 +17,9 @@ class NavigationSettings:
         ("general_goal_checker",),
         "The same for goal_checker_id; any of them means the goal tolerances above.",
     )
+    progress_checker_ids: tuple[str, ...] = setting(
+        ("progress_checker",), "The same for progress_checker_id."
+    )
     failure_tolerance: float = setting(
         1.0,
         "How long the robot may stand for a fault, or for want of odometry or of a transform, "

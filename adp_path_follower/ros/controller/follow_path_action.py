@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from adp_path_follower.core.driving.driver import Driver
-from adp_path_follower.core.geometry import yaw_of_quaternion
+from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
 from adp_path_follower.core.path.progress import Place
 from adp_path_follower.core.safety.supervisor import Kind, State, Status
 from adp_path_follower.core.settings.navigation import NavigationSettings
@@ -26,6 +26,7 @@ from adp_path_follower.ros.runtime.qos import LATCHED
 
 _RESULT_TIMEOUT = 10  # [s] that a result is kept, as in Nav2
 _WAY = 0.01  # [m] to a single pose
+_HARDLY = 1e-9  # about half of a turn [rad] that nobody sees
 
 # The error code of each kind of cause, by its name in the result of the action.
 _CODES = {
@@ -47,6 +48,7 @@ class Site:
     active: Callable[[], bool]
     driver: Callable[[], Driver]
     speed: Callable[[], float]  # of the robot [m/s]
+    pose: Callable[[str], FloatArray | None]  # of the robot (3,) in a frame, if it is known
     hurry: Callable[[], None]  # asks for `look` soon
 
 
@@ -58,6 +60,7 @@ class FollowPathAction:
         self._path, self._site = path, site
         self._node, self._logger = node, node.get_logger()
         self._goal: ServerGoalHandle | None = None
+        self._is_unseen = False  # a goal of one place, as nothing says where the robot is
         self._standing_since: float | None = None  # steady [s]
         self._server: _Server | None = None
         try:
@@ -114,6 +117,8 @@ class FollowPathAction:
         if goal.is_cancel_requested:
             self._end(goal.canceled, "NONE")
             return
+        if self._is_unseen and self._site.pose(goal.request.path.header.frame_id) is not None:
+            self._lead(goal)
         is_followed: bool = self._path.goal is goal
         if not is_followed:  # it is being prepared
             return
@@ -147,22 +152,34 @@ class FollowPathAction:
         """Follow a goal's path; the robot drives on along the present one until it is prepared."""
         if self._goal is not None:
             self._end(self._goal.abort, "NONE", "another goal takes over")
-        self._goal, self._standing_since = goal, None
+        self._goal, self._standing_since, self._is_unseen = goal, None, False
         goal.execute()
         request, settings = goal.request, self._site.settings()
-        for name, given, known, code in (
-            ("controller", request.controller_id, settings.controller_ids, "INVALID_CONTROLLER"),
-            ("goal_checker", request.goal_checker_id, settings.goal_checker_ids, "UNKNOWN"),
+        for name, known, code in (
+            ("controller", settings.controller_ids, "INVALID_CONTROLLER"),
+            ("goal_checker", settings.goal_checker_ids, "UNKNOWN"),
+            ("progress_checker", settings.progress_checker_ids, "UNKNOWN"),
         ):
+            given = getattr(request, f"{name}_id", "")  # some versions of Nav2 lack the last
             if given and given not in known:
                 self._abort(code, f"{name}_id '{given}' is none of {name}_ids, {', '.join(known)}")
                 return
         if not request.path.poses:
             self._abort("INVALID_PATH", "its path has no poses")
             return
-        if len(request.path.poses) == 1:  # as planners send it to a robot that is there
-            request.path.poses.insert(0, _just_before(request.path.poses[0]))
-        self._path.submit(serialize_message(request.path), goal)
+        if _is_one_place(request.path):  # as planners send it to a robot that is almost there
+            self._lead(goal)
+        else:
+            self._path.submit(serialize_message(request.path), goal)
+
+    def _lead(self, goal: ServerGoalHandle) -> None:
+        """Lead the robot to a goal that is one place."""
+        header, poses = goal.request.path.header, goal.request.path.poses
+        robot = self._site.pose(header.frame_id)
+        tolerance = self._site.driver().settings.motion.xy_goal_tolerance
+        way = PathMessage(header=header, poses=_way_to(poses[-1], robot, tolerance))
+        self._is_unseen = robot is None
+        self._path.submit(serialize_message(way), goal)
 
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         if goal is self._goal:
@@ -193,12 +210,29 @@ def distance_to_goal(driver: Driver) -> float:
     return max(0.0, driver.route.length - here.along(driver.route))
 
 
-def _just_before(pose: PoseStamped) -> PoseStamped:
-    """Return the pose of a robot that drives straight into another one."""
-    x, y, q = pose.pose.position.x, pose.pose.position.y, pose.pose.orientation
+def _is_one_place(path: PathMessage) -> bool:
+    """Return whether all poses of a path are in one place; long paths are not looked through."""
+    first = path.poses[0].pose.position
+    return all((at := item.pose.position).x == first.x and at.y == first.y for item in path.poses)
+
+
+def _way_to(pose: PoseStamped, robot: FloatArray | None, tolerance: float) -> list[PoseStamped]:
+    """Return poses that lead a robot (3,) straight to another one, with turns at both ends.
+
+    Nearer than the tolerance [m], or where it is not known, it is as if it drove straight into it.
+    """
+    at, q = pose.pose.position, pose.pose.orientation
+    if q.w == 1.0:  # a heading that is meant, where that of a whole path may be left out
+        q.z = _HARDLY
     yaw = yaw_of_quaternion(q.x, q.y, q.z, q.w)
-    before = np.array([x - _WAY * math.cos(yaw), y - _WAY * math.sin(yaw), yaw])
-    return PoseStamped(header=pose.header, pose=pose_message(before))
+    if robot is None or math.dist(robot[:2], (at.x, at.y)) <= tolerance:
+        way = [(at.x - _WAY * math.cos(yaw), at.y - _WAY * math.sin(yaw), yaw)]
+    else:
+        x, y, heading = robot.tolist()
+        towards = math.atan2(at.y - y, at.x - x)
+        way = [(x, y, heading), (x, y, towards), (at.x, at.y, towards)]
+    before = [PoseStamped(header=pose.header, pose=pose_message(np.array(item))) for item in way]
+    return [*before, pose]
 
 
 class _Server(ActionServer):

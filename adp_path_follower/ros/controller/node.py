@@ -60,6 +60,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             active=lambda: self._supervisor.active,
             driver=lambda: self.driver,
             speed=lambda: self.parts.odometry.speed,
+            pose=lambda frame: self.parts.frame.seen_in(frame, self.parts.odometry.pose),
             hurry=lambda: self.parts.watchdog.hurry(),
         )
         self._supervisor = Supervisor(self.settings.controller.odom_timeout)

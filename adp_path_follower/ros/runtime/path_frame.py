@@ -6,7 +6,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from adp_path_follower.core.driving.moving_frame import MovingFrame
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, pose_in_frame
 from adp_path_follower.core.settings.navigation import NavigationSettings
 from adp_path_follower.ros.runtime.frames import FrameError, Frames
 
@@ -76,6 +76,14 @@ class PathFrame:
                 f"transform_tolerance, {tolerance:g} s: publish it more often, or set that higher"
             )
         return ""
+
+    def seen_in(self, frame: str, pose: FloatArray | None) -> FloatArray | None:
+        """Return a pose (3,) of the odometry in a frame by the latest transform, None without."""
+        if pose is None or not self._odometry or frame == self._odometry:
+            return pose
+        if self.unknown(frame) or self._frames is None:
+            return None
+        return pose_in_frame(pose, self._frames.place(self._odometry, frame).pose)
 
     def correct(self, pose: FloatArray, frame: str) -> str:
         """Take over the latest transform, at a pose (3,) of the odometry; return why not."""

@@ -165,6 +165,19 @@ def test_goals_where_the_robot_is_are_reached(stepped, start):
         assert heading == pytest.approx(poses[-1][2], abs=0.1)
 
 
+def test_a_single_place_away_from_the_robot_is_reached_straight(stepped, start):
+    """Also one behind it, or sent twice, as Nav2's controllers drive to the last pose."""
+    planner = stepped
+    planner.start_robot(start, lockstep=True)
+    for poses in ([[1.0, 0.5, -1.0]] * 3, [[0.8, 0.5, 0.0]], [[0.9, 0.5, 0.0]]):
+        handle = planner.send(np.array(poses))
+        assert planner.result(handle) == (GoalStatus.STATUS_SUCCEEDED, 0)
+        pose = planner.peer.received["odom"][-1].pose.pose
+        assert math.dist((pose.position.x, pose.position.y), poses[-1][:2]) < 0.02
+        heading = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+        assert heading == pytest.approx(poses[-1][2], abs=0.1)
+
+
 def test_goals_that_cannot_be_reached_say_why(planner):
     codes = planner.type.Result
     peer = planner.peer
@@ -177,6 +190,7 @@ def test_goals_that_cannot_be_reached_say_why(planner):
     for poses, given, code, named in (
         (line(0.0, 1.0), {"controller_id": "MPPI"}, codes.INVALID_CONTROLLER, "'MPPI'"),
         (line(0.0, 1.0), {"goal_checker_id": "precise"}, codes.UNKNOWN, "'precise'"),
+        (line(0.0, 1.0), {"progress_checker_id": "none"}, codes.UNKNOWN, "'none'"),
         (line(0.0, 0.0)[:0], {}, codes.INVALID_PATH, "no poses"),
         (broken, {}, codes.INVALID_PATH, "nan"),
         (line(0.0, 1.0), {"frame": "/map"}, codes.INVALID_PATH, "'/map'"),
