@@ -282,7 +282,7 @@ class PathFollowerNode(Ending, LifecycleNode):
             self._refuse_command(str(error))
             return
         if not all(map(math.isfinite, output.command.tolist())):
-            self._refuse_command(self._unlearn())
+            self._unlearn(time, frame, (pose, motion))
             return
         self._last_command, self._step_time = output.command, time
         too_late = parts.commands.take_lateness()
@@ -300,11 +300,13 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._supervisor.command_problem = problem
         self._update_status()
 
-    def _unlearn(self) -> str:
-        """Reset learning; return why."""
+    def _unlearn(self, time: int, frame: str, measured: tuple[FloatArray, FloatArray]) -> None:
+        """Reset learning after a step without a command; replays take that step, too."""
+        self._last_command, self._step_time = _ZERO, time
+        self.parts.telemetry.measured(time, frame, measured)
         self.driver.reset_learning()
         self._publish_configuration()
-        return "the learner's command is not finite; learning was reset"
+        self._refuse_command("the learner's command is not finite; learning was reset")
 
     def _tell(
         self, time: int, frame: str, measured: tuple[FloatArray, FloatArray], output: FollowerOutput

@@ -165,14 +165,18 @@ class Telemetry:
         output: FollowerOutput,
         cost: float,
     ) -> None:
-        """Publish a control step at a time [ns]; cost is J so far.
-
-        Measured are x, y, theta, shape (3,), and v, w and the age of the odometry [s], shape (3,).
-        """
-        for publisher, values in zip(self._measured, measured, strict=True):
-            publisher.publish(vector_stamped(time, frame, values))
+        """Publish a control step at a time [ns], with what it measured; cost is J so far."""
+        self.measured(time, frame, measured)
         for publisher, make in self._steps_to_tell(time):
             publisher.publish(make(time, frame, output, cost))
+
+    def measured(self, time: int, frame: str, values: tuple[FloatArray, FloatArray]) -> None:
+        """Publish what a step at a time [ns] went by.
+
+        Values are x, y, theta, shape (3,), and v, w and the age of the odometry [s], shape (3,).
+        """
+        for publisher, numbers in zip(self._measured, values, strict=True):
+            publisher.publish(vector_stamped(time, frame, numbers))
 
     def _steps_to_tell(self, time: int) -> list[tuple[Publisher, MakeMessage]]:
         """Return what to publish of a step at a time [ns]; to count subscribers is expensive."""

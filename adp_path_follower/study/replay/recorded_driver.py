@@ -206,6 +206,8 @@ class RecordedDriver(Driver):
                 known = motion if motion is not None and np.isfinite(motion).all() else None
                 output = super().step(pose, time, known)
             sound = bool(np.isfinite(output.command).all())
+            if not sound and self._was_reset_after(time):  # and the robot told to stop
+                output, sound = replace(output, command=np.zeros(2)), True
         except (ArithmeticError, LookupError, ValueError):
             sound = False
         if not sound:  # where no robot ever was
@@ -216,6 +218,13 @@ class RecordedDriver(Driver):
         assert self.follower is not None  # the step has made one
         self.costs.append(float(self.follower.cost))
         return output
+
+    def _was_reset_after(self, time: int) -> bool:
+        """Return whether the node reset learning after the step at a time [ns]."""
+        change, resets = self._next, self.counts.learning_resets
+        if change is None or change.after_step != time:
+            return False
+        return change.counts.learning_resets != resets
 
     def _text(self) -> str:
         """Return what a controller says that drives like this."""

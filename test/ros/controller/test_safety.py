@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -20,9 +21,14 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
-from adp_path_follower.core.settings.groups import ControllerSettings
+from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.registry import load_plugins
+from adp_path_follower.core.settings.groups import ControllerSettings, Settings
+from adp_path_follower.core.settings.schema import build
+from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.ros.controller.commands import Commands
-from adp_path_follower.study.replay.replay import replay
+from adp_path_follower.study.demo.closed_loop import run_closed_loop
+from adp_path_follower.study.replay.replay import compare_weights, replay
 from live_nodes import Drive, Peer, ends_with_stop, is_zero, running_script
 
 pytestmark = pytest.mark.nodes
@@ -214,6 +220,40 @@ def test_a_node_that_hangs_does_not_keep_the_robot_going_and_replays(
     recorder.stop()
     again = replay(read_run(tmp_path / "bag"))  # the step of a command that came too late, too
     assert again.identical[again.answered].all()
+
+
+FALTERING_POLICY = """
+import numpy as np
+import adp_path_follower as adp
+
+class Faltering:
+    def __init__(self, settings):
+        self.calls = 0
+
+    def modified_input(self, zeta, curvature, feedforward):
+        self.calls += 1
+        wanted = np.stack([0.5 + 0.0 * zeta[..., 0], -zeta[..., 1] - 2.0 * zeta[..., 2]], axis=-1)
+        return (np.nan if self.calls in (40, 90) else 1.0) * wanted - feedforward
+
+adp.register_far_policy("faltering", Faltering)
+"""
+
+
+def test_a_command_that_is_no_number_resets_learning_and_replays(tmp_path, monkeypatch):
+    plugin = tmp_path / "faltering_policy.py"
+    plugin.write_text(FALTERING_POLICY)
+    monkeypatch.setenv("ADP_PLUGINS", str(plugin))
+    load_plugins()
+    settings = build(Settings, {"wide_region": "faltering"})
+    line, start = named_path("line"), np.array([0.0, 2.0, 0.0])
+    run_closed_loop(settings, line, "line", start, 6.0, tmp_path, lambda progress: None)
+    run = read_run(tmp_path / "bag")
+    assert parse_configuration(run.configuration).counts.learning_resets == 2
+    again = replay(run)
+    assert again.answered.sum() > 500
+    assert again.identical[again.answered].all()
+    assert (again.recorded == 0.0).all(axis=1).sum() == 2
+    assert compare_weights(run, again).identical.all()
 
 
 def test_a_stop_is_said_ten_times_however_long_that_was_kept_waiting(peer):
