@@ -127,34 +127,36 @@ def read_csv_columns(
     """Return named columns of a CSV file in SI units, shape (rows, columns).
 
     Names may have a unit, as in x_m or "y [mm]". The header may begin with #, as comments before it
-    and below do; if it has semicolons, they separate. One more column is the first of the optional
-    ones that the file has, NaN without. Raises FileError if the file is missing or empty, lacks a
-    column, or holds something that is not a number; the message names the line.
+    and below do; if it has semicolons, tabs or only spaces, they separate, and numbers may have a
+    decimal comma. One more column is the first of the optional ones that the file has, NaN without.
+    Raises FileError if the file is missing or empty, lacks a column or has it twice, or holds
+    something that is not a number; the message names the line.
     """
     lines = read_text(file).splitlines()
     number = 0
     while number < len(lines) - 1 and lines[number].lstrip().startswith("#"):
-        if set(columns) <= _csv_header(lines[number]).keys():
+        if set(columns) <= {name for name, _ in _csv_header(lines[number])}:
             break
         number += 1
-    separator, header = (";" if ";" in lines[number] else ","), _csv_header(lines[number])
-    missing = [name for name in columns if name not in header]
-    if missing:
-        raise FileError(
-            f"file {file} has no column '{missing[0]}': its first line must name "
-            f"{','.join(columns)}"
-        )
-    chosen = [*columns, *[name for name in optional if name in header][:1]]
+    separator, header = _separator(lines[number]), _csv_header(lines[number])
+    names = [name for name, _ in header]
+    chosen = [*columns, *[name for name in optional if name in names][:1]]
+    wrong = next((name for name in chosen if names.count(name) != 1), None)
+    if wrong is not None:
+        has = f"{names.count(wrong)} columns" if wrong in names else "no column"
+        raise FileError(f"file {file} has {has} '{wrong}': {_remedy(columns, names)}")
+    places = [names.index(name) for name in chosen]
     try:
-        rows = list(csv.reader(lines[number + 1 :], delimiter=separator))
+        rows = list(csv.reader(lines[number + 1 :], delimiter=separator, skipinitialspace=True))
     except csv.Error as error:
         raise FileError(f"file {file} is not CSV: {error}") from None
     values = []
     for line, row in enumerate(rows, start=number + 2):
-        if not row or row[0].lstrip().startswith("#"):
+        if not any(map(str.strip, row)) or row[0].lstrip().startswith("#"):
             continue
+        cells = row if separator == "," else [cell.replace(",", ".") for cell in row]
         try:
-            values.append([float(row[header[name][0]]) * header[name][1] for name in chosen])
+            values.append([float(cells[place]) * header[place][1] for place in places])
         except (IndexError, ValueError):
             raise FileError(
                 f"file {file}, line {line}: '{separator.join(row)[:60]}' is not {len(chosen)} "
@@ -168,18 +170,28 @@ def read_csv_columns(
     return found
 
 
-def _csv_header(line: str) -> dict[str, tuple[int, float]]:
-    """Return place and factor to SI units of each column that a header names."""
-    found: dict[str, tuple[int, float]] = {}
-    names = re.split(";" if ";" in line else ",", line.strip().lstrip("#").lower())
-    for place, text in enumerate(names):
+def _separator(header: str) -> str:
+    return next((mark for mark in ";\t," if mark in header), " ")
+
+
+def _csv_header(line: str) -> list[tuple[str, float]]:
+    """Return name and factor to SI units of each column that a header names."""
+    found: list[tuple[str, float]] = []
+    for text in line.strip().lstrip("# ").lower().split(_separator(line.strip())):
         name, _, unit = re.sub(r"[\[\]()]", " ", text.strip().strip('"')).strip().rpartition(" ")
         if not name:
             name, _, unit = unit.rpartition("_")
         if unit not in _UNITS:
             name, unit = text.strip().strip('"'), ""
-        found.setdefault(name.strip(" _"), (place, _UNITS[unit]))
+        found.append((name.strip(" _"), _UNITS[unit]))
     return found
+
+
+def _remedy(columns: tuple[str, ...], names: list[str]) -> str:
+    """Return what the header should name where it has other names."""
+    if any(name.startswith("lat") for name in names) and "x" in columns:
+        return "convert latitude and longitude to metres in a plane, as by UTM, and name them x,y"
+    return f"its first line must name {','.join(columns)} once, with units such as x_cm or none"
 
 
 def read_yaml(file: FilePath) -> object:

@@ -26,6 +26,8 @@ PATH_HELP = (
     "YAML with 'points: [[x, y], ...]'"
 )
 _HEADINGS = ("th", "theta", "yaw", "heading")  # columns of which a file may have one
+_TINY = 0.01  # [m]
+_FITS = 0.7  # mean cosine between headings and motion
 _LINE_LENGTH = 100.0  # [m]
 
 
@@ -174,7 +176,9 @@ def read_poses(file: FilePath) -> tuple[FloatArray, bool | None]:
     Headings are NaN where it has none. Raises FileError if it is missing or of another format.
     """
     if file.suffix.lower() == ".csv":
-        return read_csv_columns(file, ("x", "y"), _HEADINGS), None
+        poses = read_csv_columns(file, ("x", "y"), _HEADINGS)
+        _check_units(file, poses)
+        return poses, None
     content = read_yaml(file)
     if not isinstance(content, dict) or "points" not in content:
         raise FileError(f"path file {file} has no 'points: [[x, y], ...]'")
@@ -188,3 +192,19 @@ def read_poses(file: FilePath) -> tuple[FloatArray, bool | None]:
     if points.ndim != 2 or points.shape[1] < 2:
         return points, closed
     return np.column_stack([points[:, :2], np.full(len(points), np.nan)]), closed
+
+
+def _check_units(file: FilePath, poses: FloatArray) -> None:
+    """Raise FileError if poses (N, 3) are degrees: of latitude and longitude, or headings."""
+    size = np.ptp(poses[:, :2], axis=0).max()
+    if 0.0 < size < _TINY:
+        raise FileError(f"file {file} has a path of {size:.2g} m across: are its columns metres?")
+    headings = poses[:-1, 2]
+    if not np.abs(headings).max(initial=0.0) > math.tau:  # as none is where there are no headings
+        return
+    motion = np.arctan2(*np.diff(poses[:, :2], axis=0).T[::-1])
+    as_told, as_degrees = (
+        np.cos(item - motion).mean() for item in (headings, np.radians(headings))
+    )
+    if as_told < _FITS < as_degrees:
+        raise FileError(f"file {file} has headings in degrees: name their column yaw_deg")

@@ -42,7 +42,8 @@ def joined(points: FloatArray, closed: bool | None) -> tuple[FloatArray, bool]:
     Neighbours do not coincide. If `closed` is None, coinciding ends (1 mm) decide. Raises PathError
     for a closed path of fewer than three points.
     """
-    meet = len(points) > 2 and math.dist(points[0], points[-1]) <= _CLOSING_GAP
+    apart = np.ptp(points, axis=0).max() > 2.0 * _CLOSING_GAP  # or all points are in one place
+    meet = len(points) > 2 and math.dist(points[0], points[-1]) <= _CLOSING_GAP and bool(apart)
     if closed is None:
         closed = meet and len(points) > 3
     if closed:

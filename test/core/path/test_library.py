@@ -8,7 +8,13 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.errors import AdpError, FileError, PathError
-from adp_path_follower.core.path.library import circle, named_path, named_points, path_from_file
+from adp_path_follower.core.path.library import (
+    circle,
+    named_path,
+    named_points,
+    named_route,
+    path_from_file,
+)
 from adp_path_follower.core.path.preparation import prepare
 from adp_path_follower.core.settings.groups import PathSettings
 
@@ -97,6 +103,10 @@ def test_any_text_names_a_path_or_is_refused(start, text, end):
         ("bom.csv", b"\xef\xbb\xbfx,y\r\n0,0\r\n1,0.5\r\n2,0.5\r\n3,0\r\n"),
         ("quoted.csv", '"x","y"\n"0","0"\n1,0.5\n2,0.5\n3,0'),
         ("UPPER.CSV", "x,y\n0,0\n1,0.5\n2,0.5\n3,0\n"),
+        ("decimal_comma.csv", "x;y\n0,0;0,0\n1;0,5\n2,000;0,5\n3;0\n"),
+        ("tabs.csv", "n\tx\ty\n1\t0\t0\n2\t1\t0.5\n3\t2\t0.5\n4\t3\t0\n"),
+        ("blanks.csv", "# x y\n 0   0\n 1   0.5\n 2  0.5 \n 3 0\n"),
+        ("blank_lines.csv", "x,y\n0,0\n \n1,0.5\n2,0.5\n3,0\n  \n \n"),
         ("plain.yaml", "points: [[0, 0], [1, 0.5], [2, 0.5], [3, 0]]\n"),
         ("short.yml", "points:\n- [0.0, 0.0]\n- [1, 5e-1]\n- [2, 5E-1]\n- [3.0e+0, 0]\n"),
         ("headings.yaml", "points: [[0, 0, 9], [1, 0.5, 9], [2, 0.5, 9], [3, 0, 9]]\n"),
@@ -132,6 +142,22 @@ def test_a_file_of_the_figure_eight_gives_the_figure_eight(tmp_path, figure_eigh
     assert np.abs(path.curvature(s) - figure_eight.curvature(s)).max() < 5e-3
 
 
+def test_headings_of_several_turns_are_no_degrees(tmp_path):
+    turns = np.linspace(0.0, 6.0 * np.pi, 200)
+    rows = np.column_stack([(1.0 + turns) * np.cos(turns), (1.0 + turns) * np.sin(turns)])
+    headings = np.unwrap(np.arctan2(*np.diff(rows, axis=0).T[::-1]))
+    lines = [f"{x},{y},{yaw}" for (x, y), yaw in zip(rows, headings, strict=False)]
+    file = written(tmp_path, "spiral.csv", "x,y,yaw\n" + "\n".join(lines))
+    assert named_route(str(file), PathSettings()).length > 50.0
+
+
+def test_points_within_a_millimetre_are_no_closed_path():
+    turns = np.linspace(0.0, 2.0 * np.pi, 60)
+    for size in (5e-5, 4e-4):
+        points = size * np.column_stack([np.cos(turns), np.sin(turns)])
+        assert not prepare(points, PathSettings()).closed
+
+
 # --- bad files ----------------------------------------------------------------------------------
 
 
@@ -149,6 +175,10 @@ BAD_FILES = [
     ("huge_field.csv", 'x,y\n"' + "0" * 200_000 + '",1\n', FileError, "CSV"),
     ("single.csv", "x,y\n0,0\n", PathError, "1 distinct points"),
     ("nan.csv", "x,y\n0,0\n1,nan\n", PathError, "point 1"),
+    ("twice.csv", "x,x,y\n1,0,0\n1,1,0\n", FileError, "2 columns 'x'"),
+    ("places.csv", "latitude,longitude\n52,13\n52.1,13\n", FileError, "to metres"),
+    ("places_as_xy.csv", "x,y\n13.4,52.5\n13.40001,52.50002\n", FileError, "2e-05 m across"),
+    ("degrees.csv", "x,y,yaw\n0,0,30\n1,0.577,30\n2,1.155,30\n", FileError, "yaw_deg"),
     ("empty.yaml", "", FileError, "empty"),
     ("comment.yaml", "# nothing\n", FileError, "empty"),
     ("binary.yaml", b"\xff\xfe\x00\x81", FileError, "not text"),
