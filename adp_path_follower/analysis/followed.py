@@ -131,12 +131,17 @@ def _recorded(bag: FilePath, run: Run, notes: list[str]) -> list[tuple[int, Rout
     frames = run.path_frames or ("",) * len(run.paths)
     recorded = RecordedRoutes(run)
     tolerance = _OF_MANY if len(run.paths) > _MANY else _AS_DRAWN
+    whole = np.zeros((0, 3))
     for number, ((time, poses), frame) in enumerate(zip(run.paths, frames, strict=True)):
         if not len(poses):  # how planners take a path back
             continue
+        rest = whole[max(0, len(whole) - len(poses)) :]
+        if found and frame == found[-1][2] and np.array_equal(poses, rest, equal_nan=True):
+            continue  # what the robot has left behind is cut off: it began there all the same
         try:
             route = recorded.followed(number)
             found.append((time, route or route_along(poses, tolerance), frame))
+            whole = poses
         except AdpError as error:
             problem = str(error)
             notes.append(f"a path was passed over: {problem}")

@@ -81,6 +81,17 @@ def test_a_path_that_is_driven_backwards(tmp_path):
     assert found.metrics["heading_max"] < 0.5
 
 
+def test_a_path_that_is_sent_again_without_what_is_driven_is_the_same_one(tmp_path):
+    """As controllers send it that cut off the poses behind the robot, here ahead of it."""
+    poses = along(CORNERS)
+    messages = drive_along(poses, CORNERS)
+    for row in range(20, len(poses), 50):
+        left = CORNERS[int(np.searchsorted([0.0, 2.0, 3.5, 5.0], 0.01 * row)) :]
+        if len(left) > 1:
+            messages.append(("/path", 1000 * SECOND + row * SECOND // 50, path_message(left)))
+    assert_driven(analysed(tmp_path, messages))
+
+
 def test_a_path_of_a_file_stands_for_one_that_the_bag_has_not(tmp_path):
     messages = drive_along(along(CORNERS), CORNERS)[1:]
     file = tmp_path / "path.csv"
