@@ -127,7 +127,8 @@ def _recorded(bag: FilePath, run: Run, notes: list[str]) -> list[tuple[int, Rout
         raise FileError(
             f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path, or a file"
         )
-    found, problem = [], ""
+    found: list[tuple[int, Route, str]] = []
+    problem = ""
     frames = run.path_frames or ("",) * len(run.paths)
     recorded = RecordedRoutes(run)
     tolerance = _OF_MANY if len(run.paths) > _MANY else _AS_DRAWN
