@@ -105,20 +105,20 @@ class Path:
                 finite, or points that turn back on themselves.
 
         """
-        distinct, _ = distinct_points(points)
-        distinct, closed = joined(distinct, closed)
-        spline, parameter = chord_spline(distinct, closed)
-        return cls.along(spline, parameter, closed, 0.25 * float(np.median(np.diff(parameter))))
+        distinct, closed = joined(distinct_points(points)[0], closed)
+        return cls.along(*chord_spline(distinct, closed), closed)
 
     @classmethod
     def along(
-        cls, spline: CubicSpline, parameter: FloatArray, closed: bool, piece: float = _PIECE
+        cls, spline: CubicSpline, parameter: FloatArray, closed: bool, piece: float | None = None
     ) -> Path:
         """Return the path by arc length along a C2 spline, which maps parameters to points [m].
 
-        Its pieces meet at increasing parameters. Those of the path have the length `piece` [m], if
-        it is less than 5 cm. Raises TurningBackError if the curve has a cusp.
+        Its pieces meet at increasing parameters. Those of the path have the length `piece` [m], by
+        default a quarter of the usual one, but at most 5 cm. Raises TurningBackError at a cusp.
         """
+        if piece is None:
+            piece = 0.25 * float(np.median(np.diff(parameter)))
         return cls.from_curve(spline, spline.derivative(), parameter, closed, min(_PIECE, piece))
 
     @classmethod

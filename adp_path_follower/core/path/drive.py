@@ -144,7 +144,9 @@ def _assigned(path: Path, poses: FloatArray, anchors: _Anchors) -> FloatArray:
     total = found[0].cost + _EARLY * found[0].arc_length / path.length
     sources: list[np.ndarray] = []
     for number in range(1, len(found)):
-        moved = _moved(path, found[number - 1].arc_length, found[number].arc_length)
+        moved = found[number].arc_length - found[number - 1].arc_length[:, None]
+        if path.closed:
+            moved = _shortest(moved, path.length)
         free = bool(anchors.carried[number])
         costs = total[:, None] + _moving_cost(moved, float(anchors.way[number]), free)
         source = np.argmin(costs, axis=0)
@@ -207,21 +209,16 @@ def _near_enough(
     return _Candidates(arc_length, np.maximum(rest, 0.0) + _HEADING * (1.0 - agreement))
 
 
-def _moved(path: Path, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return how far each place is from each earlier one [m], shape (K before, K after)."""
-    moved = after[None, :] - before[:, None]
-    return _shortest(moved, path.length) if path.closed else moved
-
-
 def _shortest(moved: FloatArray, lap: float) -> FloatArray:
+    """Return the moves [m], any shape, on a closed path the shorter way round."""
     return np.asarray(moved - lap * np.round(moved / lap))
 
 
 def _moving_cost(moved: FloatArray, way: float, free: bool) -> FloatArray:
     """Return the cost of places that move [m], any shape, while the robot drives its way [m]."""
-    backwards = _BACKWARDS * np.maximum(-moved, 0.0)
     if free:  # the nearest lap is as likely as any, and better for no other reason
         return np.asarray(0.001 * np.abs(moved))
+    backwards = _BACKWARDS * np.maximum(-moved, 0.0)
     excess = np.maximum(np.abs(moved) - _SLACK - _STRETCH * way, 0.0)
     return np.asarray(np.minimum(backwards + _JUMP_COST * excess, _JUMP_COST))
 

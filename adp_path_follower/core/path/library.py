@@ -5,8 +5,10 @@ that excites all that `adp identify` looks for), ``circle:KAPPA`` with the signe
 or by a CSV or YAML file.
 """
 
+import contextlib
 import difflib
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path as FilePath
 
@@ -103,11 +105,9 @@ def circle(curvature: float) -> Path:
 
 def path_from_file(file: FilePath, settings: PathSettings | None = None) -> Path:
     """Return the path along a file's points; FileError if it is unsound, PathError for no path."""
-    points, closed = read_points(file)
-    try:
-        return path_through(points, closed, settings)
-    except PathError as error:
-        raise PathError(f"path file {file}: {error}") from None
+    poses, closed = read_poses(file)
+    with _errors_in(file):
+        return path_through(poses[:, :2], closed, settings)
 
 
 def named_route(name: str, settings: PathSettings) -> Route:
@@ -118,18 +118,14 @@ def named_route(name: str, settings: PathSettings) -> Route:
         return route_of(named_path(name))
     file = expanded(name)
     poses, closed = read_poses(file)
-    oriented = poses.ndim == 2 and poses.shape[1] == 3
-    points, headings = (poses[:, :2], poses[:, 2]) if oriented else (poses, None)
-    try:
-        return prepare(points, settings, headings, closed)
-    except PathError as error:
-        raise PathError(f"path file {file}: {error}") from None
+    with _errors_in(file):
+        return prepare(poses[:, :2], settings, poses[:, 2], closed)
 
 
 def path_through(
     points: FloatArray, closed: bool | None, settings: PathSettings | None = None
 ) -> Path:
-    """Return the path along points as `read_points` gives them; PathError if they make none."""
+    """Return the path along points (N, 2) [m]; PathError if they make none."""
     # Commands that prepare no path need not wait for scipy's splines, half of their start.
     from adp_path_follower.core.path.preparation import prepare
 
@@ -147,11 +143,9 @@ def named_points(name: str, spacing: float) -> FloatArray:
         return named_path(name).points(spacing)
     file = expanded(name)
     poses, closed = read_poses(file)
-    try:
-        distinct, kept = distinct_points(poses[:, :2] if poses.ndim == 2 else poses)
+    with _errors_in(file):
+        distinct, kept = distinct_points(poses[:, :2])
         distinct, _ = joined(distinct, closed)
-    except PathError as error:
-        raise PathError(f"path file {file}: {error}") from None
     if closed is None and np.isfinite(poses[:, 2:]).any():
         return poses  # several in one place are a turn on the spot
     headings = poses[np.append(kept, kept[:1])[: len(distinct)], 2]
@@ -164,16 +158,20 @@ def is_path_file(name: str) -> bool:
     return FilePath(name).suffix.lower() in (".csv", ".yaml", ".yml")
 
 
-def read_points(file: FilePath) -> tuple[FloatArray, bool | None]:
-    """Return the points (N, 2) of a path file, and whether it says that it is closed."""
-    poses, closed = read_poses(file)
-    return poses[:, :2] if poses.ndim == 2 else poses, closed
+@contextlib.contextmanager
+def _errors_in(file: FilePath) -> Iterator[None]:
+    """Name the file in a PathError of the block."""
+    try:
+        yield
+    except PathError as error:
+        raise PathError(f"path file {file}: {error}") from None
 
 
 def read_poses(file: FilePath) -> tuple[FloatArray, bool | None]:
     """Return the poses of a path file, shape (N, 3), and whether it says that it is closed.
 
-    Headings are NaN where it has none. Raises FileError if it is missing or of another format.
+    Headings are NaN where it has none. Raises FileError if it is missing or of another format,
+    PathError if its points are no list of x and y.
     """
     if file.suffix.lower() == ".csv":
         poses = read_csv_columns(file, ("x", "y"), _HEADINGS)
@@ -190,7 +188,9 @@ def read_poses(file: FilePath) -> tuple[FloatArray, bool | None]:
     except (TypeError, ValueError, OverflowError):
         raise FileError(f"path file {file} has 'points' that are not [x, y] pairs") from None
     if points.ndim != 2 or points.shape[1] < 2:
-        return points, closed
+        raise PathError(
+            f"path file {file}: path has shape {points.shape}, but must be a list of x, y"
+        )
     return np.column_stack([points[:, :2], np.full(len(points), np.nan)]), closed
 
 

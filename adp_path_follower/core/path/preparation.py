@@ -36,9 +36,13 @@ class _Poses:
     """Distinct positions of a message."""
 
     points: FloatArray  # shape (N, 2) [m]
-    # Shape (N,) [rad], NaN where a pose says none; None if no pose does.
-    headings: FloatArray | None
+    headings: FloatArray  # shape (N,) [rad], NaN where a pose says none
     index: np.ndarray  # number of each in the message, (N,)
+
+    def part(self, start: int, stop: int) -> "_Poses":
+        """Return the poses from one number to another, both included."""
+        rows = slice(start, stop + 1)
+        return _Poses(self.points[rows], self.headings[rows], self.index[rows])
 
     def place(self, number: int) -> str:
         """Return number and place of a pose, for messages."""
@@ -60,15 +64,19 @@ def prepare(
     without `allow_reversing`; the message names the place.
     """
     positions, index = distinct_points(points)
-    given = _given_headings(headings, len(np.asarray(points)))
-    useful = None if given is None or not _is_oriented(given) else given
-    poses = _Poses(positions, None if useful is None else useful[index], index)
+    count = len(np.asarray(points))
+    given = np.full(count, np.nan) if headings is None else headings
+    if given.shape != (count,):
+        raise PathError(f"path has headings of shape {given.shape}, but must have {count} of them")
+    given = np.where(np.isfinite(given), given, np.nan)
+    useful = given if _is_oriented(given) else np.full(count, np.nan)
+    poses = _Poses(positions, useful[index], index)
     said = _SAID[settings.path_closed] if closed is None else closed
-    ends = np.append(index[1:], len(np.asarray(points))) - 1  # the last pose in each place
+    ends = np.append(index[1:], count) - 1  # the last pose in each place
     if said is None and ends[-1] > index[-1]:
         said = False  # its last pose comes twice
-    turned = np.zeros(len(index)) if useful is None else _turned(useful, index, ends)
-    if useful is not None and turned.any():
+    turned = _turned(useful, index, ends)
+    if turned.any():
         route = _turning_route(poses, useful[ends], turned, said, settings)
     else:
         route = _route(poses, said, settings)
@@ -96,28 +104,24 @@ def _turning_route(
         )
     segments: list[Segment] = []
     for start, stop in itertools.pairwise(sorted({0, *turns, len(poses.points) - 1})):
-        assert poses.headings is not None  # else there are no turns
-        headings = np.append(after[start], poses.headings[start + 1 : stop + 1])
-        rows = slice(start, stop + 1)
-        part = _Poses(poses.points[rows], headings, poses.index[rows])
+        part = poses.part(start, stop)
+        part = replace(part, headings=np.append(after[start], part.headings[1:]))
         first, *rest = _route(part, False, settings).segments
         segments += [replace(first, turn=float(turned[start])), *rest]
     return Route(tuple(segments))
 
 
 def _with_goal(
-    route: Route, headings: FloatArray | None, turned: float, settings: PathSettings
+    route: Route, headings: FloatArray, turned: float, settings: PathSettings
 ) -> Route:
     """Return a route that ends with the last pose's heading, which turns by an angle [rad]."""
-    if headings is None or route.closed or not settings.turn_at_goal:
-        return route
     wanted = float(headings[-1])
-    if not (_is_oriented(headings) or wanted):
+    asks = not math.isnan(wanted) and (_is_oriented(headings) or wanted)
+    if route.closed or not settings.turn_at_goal or not asks:
         return route
     turn = float(wrap_angle(wanted - turned - _end_heading(route.segments[-1]))) + turned
     least = _ALIGNED if route.length > _NO_WAY else -1.0  # a path that is no way only turns
-    turns = abs(turn) > least  # which no number is
-    return replace(route, goal_heading=wanted, goal_turn=turn) if turns else route
+    return replace(route, goal_heading=wanted, goal_turn=turn) if abs(turn) > least else route
 
 
 def _end_heading(segment: Segment) -> float:
@@ -138,17 +142,6 @@ def _route(poses: _Poses, said: bool | None, settings: PathSettings) -> Route:
     return _cut_route(poses, said, settings, unfit)
 
 
-def _given_headings(headings: FloatArray | None, count: int) -> FloatArray | None:
-    """Return the headings of poses, NaN for one that has none, or None for all."""
-    if headings is None:
-        return None
-    if headings.shape != (count,):
-        raise PathError(
-            f"path has headings of shape {headings.shape}, but must have {count} of them"
-        )
-    return np.where(np.isfinite(headings), headings, np.nan)
-
-
 def _is_oriented(headings: FloatArray) -> bool:
     """Return whether headings (N,) are more than zeros, or those of both ends."""
     inner = headings[1:-1] if len(headings) > 2 else headings[:1]
@@ -157,8 +150,6 @@ def _is_oriented(headings: FloatArray) -> bool:
 
 def _against_motion(poses: _Poses) -> np.ndarray:
     """Return for each chord whether the orientations at its ends point backwards, (N - 1,)."""
-    if poses.headings is None:
-        return np.zeros(len(poses.points) - 1, dtype=bool)
     chords = np.diff(poses.points, axis=0)
     motion = np.arctan2(*contiguous(chords.T[::-1]))
     ends = [np.cos(poses.headings[:-1] - motion), np.cos(poses.headings[1:] - motion)]
@@ -170,17 +161,12 @@ def _interpolation(points: FloatArray, said: bool | None) -> Interpolation:
     return Interpolation(*chord_spline(points, closed), points, closed)
 
 
-def _along(through: Interpolation) -> Path:
-    piece = 0.25 * float(np.median(np.diff(through.parameter)))
-    return Path.along(through.spline, through.parameter, through.closed, piece)
-
-
 def _exact(through: Interpolation, tolerance: float) -> Path | None:
     """Return the path through the points if it is smooth and near their polyline, else None."""
     if tolerance > 0.0 and not is_fair(through, tolerance):
         return None
     try:
-        return _along(through)
+        return Path.along(through.spline, through.parameter, through.closed)
     except TurningBackError:
         return None
 
@@ -219,10 +205,8 @@ def _cut_route(
     for number, (start, stop) in enumerate(itertools.pairwise(bounds)):
         if stop <= start:
             continue
-        part = _Poses(poses.points[start : stop + 1], None, poses.index[start : stop + 1])
-        direction = directions[0 if number == 0 else cuts[number - 1]]
-        reverse = bool(direction < 0)
-        segment = Segment(_fitted(part, False, tolerance), reverse)
+        reverse = bool(directions[0 if number == 0 else cuts[number - 1]] < 0)
+        segment = Segment(_fitted(poses.part(start, stop), False, tolerance), reverse)
         if segments and segments[-1].reverse is reverse:
             begin = segment.heading_of_path(segment.path.frame(0.0).pose)[2]
             turn = float(wrap_angle(begin - _end_heading(segments[-1])))
@@ -274,19 +258,15 @@ def _cusps(points: FloatArray, tolerance: float) -> np.ndarray:
 def _directions(poses: _Poses, kept: np.ndarray, cusps: np.ndarray) -> np.ndarray:
     """Return 1 or, backwards, -1 for each chord: by orientations, else as before the last cusp."""
     chords = np.diff(poses.points[kept], axis=0)
-    decided = np.zeros(len(chords))
-    if poses.headings is not None:
-        motion = np.arctan2(*contiguous(chords.T[::-1]))
-        # Sums over all poses from one kept point to the next, both included.
-        sums = np.zeros((2, len(poses.points) + 1))
-        known = np.isfinite(poses.headings)
-        np.cumsum(np.where(known, np.cos(poses.headings), 0.0), out=sums[0, 1:])
-        np.cumsum(np.where(known, np.sin(poses.headings), 0.0), out=sums[1, 1:])
-        count = np.concatenate([[0], np.cumsum(known)])
-        first, last = kept[:-1], kept[1:] + 1
-        cos, sin = (sums[:, last] - sums[:, first]) / np.maximum(count[last] - count[first], 1)
-        agreement = cos * np.cos(motion) + sin * np.sin(motion)
-        decided = np.where(np.abs(agreement) > _DECIDED, np.sign(agreement), 0.0)
+    motion = np.arctan2(*contiguous(chords.T[::-1]))
+    # Sums over all poses from one kept point to the next, both included.
+    known = np.isfinite(poses.headings)
+    parts = np.where(known, [np.cos(poses.headings), np.sin(poses.headings), known], 0.0)
+    sums = np.concatenate([np.zeros((3, 1)), np.cumsum(parts, axis=1)], axis=1)
+    *both, count = sums[:, kept[1:] + 1] - sums[:, kept[:-1]]
+    cos, sin = np.array(both) / np.maximum(count, 1.0)
+    agreement = cos * np.cos(motion) + sin * np.sin(motion)
+    decided = np.where(np.abs(agreement) > _DECIDED, np.sign(agreement), 0.0)
     flips = np.ones(len(chords))
     flips[cusps] = -1.0
     steady = np.cumprod(flips)  # the direction if no orientation said anything
@@ -339,7 +319,7 @@ def _fitted(
         if path is not None:
             return path
         if tolerance == 0.0:
-            return _along(through)
+            return Path.along(through.spline, through.parameter, through.closed)
         curve, step = smoothed(through, tolerance)
         curve, _ = distinct_points(curve)
         return Path.along(*chord_spline(curve, through.closed), through.closed, step)

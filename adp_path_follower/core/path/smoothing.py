@@ -9,7 +9,7 @@ level that takes part is within the tolerance there, so is the blend.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -145,7 +145,7 @@ def is_fair(through: Interpolation, tolerance: float) -> bool:
     next(levels)  # the curve itself
     worst = _bend(grid)  # of the levels so far
     for level, (curve, share) in enumerate(levels, start=1):
-        bend = _bend(Grid(curve, step, through.closed))
+        bend = _bend(replace(grid, values=curve))
         better = worst > _EXACT_RATIO * _around(bend, level, grid.mode) + _FAIR_DIFFERENCE
         better &= share > 0.0
         if not through.closed:  # the kernel straightens an open curve's ends, whatever their bend
@@ -186,10 +186,18 @@ def smoothed(through: Interpolation, tolerance: float) -> tuple[FloatArray, floa
 
 def _round(grid: Grid, anchor: FloatArray, budget: FloatArray) -> Grid:
     """Return the grid's curve smoothed, within a budget (M,) [m] of the anchor (M, 2)."""
+    curves, shares = zip(*_levels(grid, anchor, budget), strict=True)
     curve = grid.values
-    for change, weight in _blends(grid, anchor, budget):
-        curve = curve + weight[:, None] * change
-    return Grid(curve, grid.step, grid.closed)
+    for level, wanted in enumerate(_wanted(grid, curves, shares), start=1):
+        if not wanted.any():
+            break
+        width, mode = _BOX_WIDTHS[level - 1], grid.mode
+        size = min(12 * width + 1, len(curve))
+        zone = maximum_filter1d(wanted.astype(np.uint8), size, mode=mode) * shares[level]
+        core = minimum_filter1d(zone, min(4 * width + 1, len(zone)), mode=mode)
+        weight = _four_boxes(core, width, mode)
+        curve = curve + weight[:, None] * (curves[level] - curves[level - 1])
+    return replace(grid, values=curve)
 
 
 def _ended(grid: Grid) -> tuple[FloatArray, float]:
@@ -240,28 +248,6 @@ def _beside(
     return found
 
 
-def _blends(
-    grid: Grid, anchor: FloatArray, budget: FloatArray
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Choose the level of smoothing at each place, within a budget of distance (M,) [m].
-
-    Returns the change of each level to the one before (M, 2), with its weight (M,); none where the
-    curve is fair already.
-    """
-    curves, shares = zip(*_levels(grid, anchor, budget), strict=True)
-    wanted = _wanted(grid, curves, shares)
-    blends = []
-    for level in range(1, len(curves)):
-        width = _BOX_WIDTHS[level - 1]
-        if not wanted[level].any():
-            break
-        zone = np.where(_dilated(wanted[level], 6 * width, grid.mode), shares[level], 0.0)
-        core = minimum_filter1d(zone, min(4 * width + 1, len(zone)), mode=grid.mode)
-        weight = _four_boxes(core, width, grid.mode)
-        blends.append((curves[level] - curves[level - 1], weight))
-    return blends
-
-
 def _levels(
     grid: Grid, anchor: FloatArray, budget: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -294,18 +280,17 @@ def _levels(
 def _wanted(
     grid: Grid, curves: Sequence[FloatArray], shares: Sequence[FloatArray]
 ) -> list[np.ndarray]:
-    """Return for each level where it, or a higher one, is better than those below, (M,) each."""
-    bends = [_bend(Grid(curve, grid.step, grid.closed)) for curve in curves]
-    count = len(bends)
-    wanted = [np.zeros(len(bends[0]), dtype=bool) for _ in range(count)]
+    """Return where each level but the first, or a higher one, is better than those below, (M,)."""
+    bends = [_bend(replace(grid, values=curve)) for curve in curves]
     best = np.full(len(bends[0]), np.inf)  # curvature of the higher levels, where permitted
-    higher = np.zeros(len(bends[0]), dtype=bool)
-    for level in range(count - 1, 0, -1):
+    higher = np.zeros(len(best), dtype=bool)
+    wanted = []
+    for level in range(len(bends) - 1, 0, -1):
         around = _around(bends[level], level, grid.mode)
         best = np.where(shares[level] > 0.0, np.minimum(best, around), best)
         higher = higher | (bends[level - 1] > _FAIR_RATIO * best + _FAIR_DIFFERENCE)
-        wanted[level] = higher
-    return wanted
+        wanted.append(higher)
+    return wanted[::-1]
 
 
 def _around(bend: FloatArray, level: int, mode: str) -> FloatArray:
@@ -325,9 +310,3 @@ def _four_boxes(values: FloatArray, width: int, mode: str) -> FloatArray:
     for _ in range(4):
         values = uniform_filter1d(values, width, axis=0, mode=mode)
     return values
-
-
-def _dilated(mask: np.ndarray, reach: int, mode: str) -> np.ndarray:
-    """Return where the mask holds, or does within a reach [samples]."""
-    size = min(2 * reach + 1, len(mask))
-    return np.asarray(maximum_filter1d(mask.astype(np.uint8), size, mode=mode) > 0)

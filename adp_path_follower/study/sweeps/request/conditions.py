@@ -12,7 +12,7 @@ from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.files import expanded, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.library import is_path_file, named_path, path_through, read_points
+from adp_path_follower.core.path.library import is_path_file, named_path, path_through, read_poses
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, setting, update
@@ -234,9 +234,9 @@ def _path(name: str, folder: FilePath) -> PathSource:
         if not is_path_file(name):
             source = PathSource(name)
         else:
-            points, closed = read_points(folder / expanded(name))
-            digest = hashlib.sha256(np.ascontiguousarray(points).tobytes()).hexdigest()
-            source = PathSource(name, digest, points, closed)
+            poses, closed = read_poses(folder / expanded(name))
+            digest = hashlib.sha256(poses[:, :2].tobytes()).hexdigest()
+            source = PathSource(name, digest, poses[:, :2], closed)
         source.path(PathSettings())
         return source
 
