@@ -111,9 +111,7 @@ def _turning_route(
     return Route(tuple(segments))
 
 
-def _with_goal(
-    route: Route, headings: FloatArray, turned: float, settings: PathSettings
-) -> Route:
+def _with_goal(route: Route, headings: FloatArray, turned: float, settings: PathSettings) -> Route:
     """Return a route that ends with the last pose's heading, which turns by an angle [rad]."""
     wanted = float(headings[-1])
     asks = not math.isnan(wanted) and (_is_oriented(headings) or wanted)

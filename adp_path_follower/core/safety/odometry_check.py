@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.geometry import FloatArray, advance_pose, wrap_angle
 from adp_path_follower.core.settings.groups import ControllerSettings, Settings
 
 _NANOSECONDS = 1_000_000_000
@@ -17,6 +17,33 @@ _HEADING_TOLERANCE = 1.0  # [rad] beyond what the angular velocity explains
 _STEADY, _STEADY_STEPS = 0.05, 2  # [m] and messages of a motion without velocities
 _SMOOTHING = 0.05  # [s] of velocities from poses
 _MEMORY = 0.5  # [s] over which motion that velocities do not explain adds up
+_LONGEST_PREDICTION = 1.0  # [s]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The parts of an odometry message that the controller uses."""
+
+    stamp: int  # time of the message [ns]
+    pose: FloatArray  # x [m], y [m], theta [rad], shape (3,)
+    twist: FloatArray  # v [m/s], w [rad/s], shape (2,)
+    frame: str  # frame of the pose
+    child_frame: str  # frame of the robot
+
+    def pose_at(self, time: int) -> FloatArray:
+        """Return the pose at a time [ns] by constant twist; as measured for another clock."""
+        age = self._age(time)
+        if age == 0.0:
+            return self.pose
+        return advance_pose(self.pose, self.twist[0], self.twist[1], age)
+
+    def motion_at(self, time: int) -> FloatArray:
+        """Return v [m/s], w [rad/s] and how long [s] `pose_at` has moved the pose on, (3,)."""
+        return np.array([*self.twist, self._age(time)])
+
+    def _age(self, time: int) -> float:
+        age = (time - self.stamp) / _NANOSECONDS
+        return age if 0.0 < age < _LONGEST_PREDICTION else 0.0
 
 
 @dataclass(frozen=True)
@@ -33,46 +60,33 @@ class OdometryCheck:
     """Compares each odometry message with those before it."""
 
     def __init__(self) -> None:
-        self._stamp: int | None = None
-        self._pose, self._twist = (0.0, 0.0, 0.0), (0.0, 0.0)
-        self._frame = ""
+        self._last: Measurement | None = None
         self._unexplained = (0.0, 0.0)  # [m] along x and y
         self._fastest = (0.0, 0.0)  # [m/s, rad/s] that the robot was allowed
 
-    def problem(
-        self,
-        now: int,
-        stamp: int,
-        pose: FloatArray,
-        twist: FloatArray,
-        child_frame: str,
-        settings: Settings,
-    ) -> OdometryProblem | None:
-        """Return the problem of a message, None if it is sound.
+    def problem(self, now: int, found: Measurement, settings: Settings) -> OdometryProblem | None:
+        """Return the problem of a message at a time [ns] (0: not known), None if it is sound.
 
         After a step back of the stamps, and after a jump, the next message is compared with this
         one, so the fault ends by itself when the messages agree again. Another robot frame does
-        not, nor a robot that is elsewhere after a silence. Times are in ns, `now` 0 if it is not
-        known; the pose is in m and rad, (3,), the twist in m/s and rad/s, (2,).
+        not, nor a robot that is elsewhere after a silence.
         """
-        (x, y, theta), (v, w) = pose.tolist(), twist.tolist()
+        last = self._last
         self._fastest = tuple(map(max, self._fastest, settings.limits.upper.tolist()))
-        text = self._impossible(x, y, v, w)
+        text = self._impossible(*found.pose[:2].tolist(), *found.twist.tolist())
         if text:
             return OdometryProblem(text)
-        if self._stamp is None:
-            self._frame = child_frame
-        if child_frame != self._frame:
+        if last is not None and found.child_frame != last.child_frame:
             return OdometryProblem(
-                f"odometry is of '{child_frame}' now, and was of '{self._frame}': two sources on "
-                "one topic?"
+                f"odometry is of '{found.child_frame}' now, and was of '{last.child_frame}': two "
+                "sources on one topic?"
             )
-        found = self._motion_problem(stamp, (x, y, theta), (v, w), settings)
-        if now and not (found and found.lasts):
-            text = stamp_problem(now, stamp, settings.controller)
-            found = OdometryProblem(text) if text else found
-        self._stamp, self._pose, self._twist = stamp, (x, y, theta), (v, w)
-        return found
+        problem = None if last is None else self._motion_problem(last, found, settings.controller)
+        if now and not (problem and problem.lasts):
+            text = stamp_problem(now, found.stamp, settings.controller)
+            problem = OdometryProblem(text) if text else problem
+        self._last = found
+        return problem
 
     def _impossible(self, x: float, y: float, v: float, w: float) -> str:
         """Return why a place [m] and a velocity [m/s, rad/s] are impossible, empty if not."""
@@ -94,32 +108,23 @@ class OdometryCheck:
         return ""
 
     def _motion_problem(
-        self,
-        stamp: int,
-        pose: tuple[float, float, float],
-        twist: tuple[float, float],
-        settings: Settings,
+        self, last: Measurement, found: Measurement, controller: ControllerSettings
     ) -> OdometryProblem | None:
-        """Return why a message contradicts the one before, None if it does not."""
-        if self._stamp is None:
-            return None
-        tolerance = settings.controller.odom_jump_tolerance
-        elapsed = (stamp - self._stamp) / _NANOSECONDS
-        x, y = pose[0] - self._pose[0], pose[1] - self._pose[1]
+        """Return why a message contradicts the last one, None if it does not."""
+        tolerance = controller.odom_jump_tolerance
+        elapsed = (found.stamp - last.stamp) / _NANOSECONDS
+        x, y, turned = (found.pose - last.pose).tolist()
         moved = math.hypot(x, y)
-        if not 0.0 <= elapsed <= settings.controller.odom_timeout:
+        if not 0.0 <= elapsed <= controller.odom_timeout:
             return self._after_silence(elapsed, moved, tolerance)
-        explained, turn = (
-            elapsed * max(abs(before), abs(now))
-            for before, now in zip(self._twist, twist, strict=True)
-        )
+        explained, turn = (elapsed * np.maximum(abs(last.twist), abs(found.twist))).tolist()
         if moved > explained + tolerance:
             self._unexplained = (0.0, 0.0)
             return OdometryProblem(
                 f"odometry jumped by {moved:.2f} m in {elapsed:.3f} s, where its velocity explains "
                 f"{explained:.2f} m"
             )
-        turned = abs(float(wrap_angle(pose[2] - self._pose[2])))
+        turned = abs(float(wrap_angle(turned)))
         if turned > turn + _HEADING_TOLERANCE and math.isfinite(tolerance):
             return OdometryProblem(
                 f"odometry turned by {turned:.2f} rad in {elapsed:.3f} s, where its velocity "
@@ -175,38 +180,36 @@ class MissingTwist:
     def __init__(self) -> None:
         self.missing = False  # whether odometry was found to have no velocity
         self._given = False  # whether any message had one
-        self._first: tuple[float, float] | None = None  # [m]: where a steady motion began
+        self._first: FloatArray | None = None  # [m]: where a steady motion began, shape (2,)
         self._steps = 0  # of it
-        self._last: tuple[int, FloatArray] | None = None
+        self._last: Measurement | None = None
         self._twist: FloatArray = np.zeros(2)
 
-    def twist(
-        self, stamp: int, pose: FloatArray, twist: FloatArray, settings: Settings
-    ) -> FloatArray:
-        """Return [v, w] of a message, (2,), from poses [m, rad] (3,) where it gives none."""
-        if self._given or twist.any():
+    def twist(self, found: Measurement, settings: Settings) -> FloatArray:
+        """Return [v, w] of a message, (2,), from the poses where it gives none."""
+        if self._given or found.twist.any():
             self._given, self.missing = True, False
-            return twist
-        last, self._last = self._last, (stamp, pose)
-        elapsed = 0.0 if last is None else (stamp - last[0]) / _NANOSECONDS
+            return found.twist
+        last, self._last = self._last, found
+        elapsed = 0.0 if last is None else (found.stamp - last.stamp) / _NANOSECONDS
         if last is None or not 0.0 < elapsed <= settings.controller.odom_timeout:
             self._first, self._steps, self._twist = None, 0, np.zeros(2)
-            return twist
-        moved = pose - last[1]
-        turned = float(wrap_angle(moved[2]))
-        heading = float(last[1][2]) + 0.5 * turned
-        ahead = float(moved[0]) * math.cos(heading) + float(moved[1]) * math.sin(heading)
+            return found.twist
+        x, y, turned = (found.pose - last.pose).tolist()
+        turned = float(wrap_angle(turned))
+        heading = float(last.pose[2]) + 0.5 * turned
+        ahead = x * math.cos(heading) + y * math.sin(heading)
         kept = math.exp(-elapsed / _SMOOTHING)
         self._twist = kept * self._twist + (1.0 - kept) / elapsed * np.array([ahead, turned])
         fastest = _FASTER * float(settings.limits.upper[0]) + _FASTER_BY[0]
-        if math.hypot(moved[0], moved[1]) > fastest * elapsed:
+        if math.hypot(x, y) > fastest * elapsed:
             self._first, self._steps, self._twist = None, 0, np.zeros(2)
-            return twist  # it jumped
-        self._first = self._first or (float(last[1][0]), float(last[1][1]))
+            return found.twist  # it jumped
+        self._first = last.pose[:2] if self._first is None else self._first
         self._steps += 1
-        if self._steps >= _STEADY_STEPS and math.dist(self._first, pose[:2]) > _STEADY:
+        if self._steps >= _STEADY_STEPS and math.dist(self._first, found.pose[:2]) > _STEADY:
             self.missing = True
-        return self._twist if self.missing else twist
+        return self._twist if self.missing else found.twist
 
 
 def stamp_problem(now: int, stamp: int, controller: ControllerSettings) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.odometry_check import OdometryProblem
 from adp_path_follower.core.settings.groups import ControllerSettings
+from adp_path_follower.core.settings.navigation import NavigationSettings
 
 
 class State(Enum):
@@ -49,13 +51,36 @@ _SETTLED = 0.2  # [s] of sound odometry after wrong odometry: every second messa
 def deviation(error: FloatArray, controller: ControllerSettings) -> str:
     """Return how an error [s, y, theta] exceeds the user's limits, empty if it does not."""
     _, cross_track, heading = abs(error).tolist()
-    if cross_track > controller.max_cross_track_error:
-        limit = controller.max_cross_track_error
-        return f"cross-track error {cross_track:.3f} m is above max_cross_track_error {limit:g}"
-    if heading > controller.max_heading_error:
-        limit = controller.max_heading_error
-        return f"heading error {heading:.3f} rad is above max_heading_error {limit:g}"
+    most, widest = controller.max_cross_track_error, controller.max_heading_error
+    if cross_track > most:
+        return f"cross-track error {cross_track:.3f} m is above max_cross_track_error {most:g}"
+    if heading > widest:
+        return f"heading error {heading:.3f} rad is above max_heading_error {widest:g}"
     return ""
+
+
+class ProgressCheck:
+    """Remembers where the robot was last seen to have made progress."""
+
+    def __init__(self) -> None:
+        self._place: tuple[float, float] | None = None
+        self._since = 0.0
+
+    def problem(self, now: float, pose: FloatArray | None, settings: NavigationSettings) -> str:
+        """Return how a robot at a pose (3,) and a time [s] lacks progress, empty if it does not.
+
+        Without a pose the robot is not to drive, and has all the time anew.
+        """
+        if pose is None:
+            self._place = None
+            return ""
+        place = float(pose[0]), float(pose[1])
+        radius, allowance = settings.required_movement_radius, settings.movement_time_allowance
+        if self._place is None or math.dist(place, self._place) >= radius or now < self._since:
+            self._place, self._since = place, now
+        if now - self._since <= allowance:
+            return ""
+        return f"the robot moved less than {radius:g} m in {allowance:g} s"
 
 
 class Supervisor:
@@ -127,7 +152,10 @@ class Supervisor:
             return Status(State.INACTIVE, "not activated", "call the lifecycle transition activate")
         if self._stopped:
             return Status(State.STOPPED, "~/stop was called", _RESUME)
-        return self._waiting() or self._fault(now) or self._going()
+        found = self._waiting() or self._fault(now)
+        if found is None and self.goal_reached:
+            return Status(State.GOAL_REACHED, "end of the path", "publish another path")
+        return found or Status(State.FOLLOWING)
 
     def patience(self, now: float) -> float:
         """Return how long inputs may stay silent [s] from a steady time [s] on."""
@@ -189,8 +217,3 @@ class Supervisor:
             if cause:
                 return Status(State.FAULT, cause, remedy, kind)
         return None
-
-    def _going(self) -> Status:
-        if self.goal_reached:
-            return Status(State.GOAL_REACHED, "end of the path", "publish another path")
-        return Status(State.FOLLOWING)

@@ -13,9 +13,14 @@ from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.safety.odometry_check import OdometryProblem, stamp_problem
-from adp_path_follower.core.safety.progress_check import ProgressCheck
-from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, deviation
+from adp_path_follower.core.safety.odometry_check import Measurement, OdometryProblem, stamp_problem
+from adp_path_follower.core.safety.supervisor import (
+    ProgressCheck,
+    State,
+    Status,
+    Supervisor,
+    deviation,
+)
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import WATCH_PERIOD, Commands, Watchdog
@@ -29,7 +34,6 @@ from adp_path_follower.ros.controller.path_worker import PathAnswer
 from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
 from adp_path_follower.ros.controller.telemetry import StatusLog, Telemetry
 from adp_path_follower.ros.controller.weights import WeightsFiles
-from adp_path_follower.ros.runtime.conversions import Measurement
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
 from adp_path_follower.ros.runtime.path_frame import PathFrame
 from adp_path_follower.ros.runtime.run import Ending

@@ -9,12 +9,13 @@ from rclpy.qos import qos_profile_sensor_data
 
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.odometry_check import (
+    Measurement,
     MissingTwist,
     OdometryCheck,
     OdometryProblem,
 )
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.ros.runtime.conversions import Measurement, MessageError, measurement_of
+from adp_path_follower.ros.runtime.conversions import MessageError, measurement_of
 
 
 class OdometryInput:
@@ -57,19 +58,14 @@ class OdometryInput:
             self._refuse(OdometryProblem(str(error)))
             return
         told = self._missing_twist.missing
-        found = replace(
-            found,
-            twist=self._missing_twist.twist(found.stamp, found.pose, found.twist, self._settings()),
-        )
+        found = replace(found, twist=self._missing_twist.twist(found, self._settings()))
         if self._missing_twist.missing and not told:
             self._node.get_logger().warning(
                 "odometry has no velocity: its twist is zero while its pose moves, so velocities "
                 "are taken from the poses; let its source fill in twist"
             )
         now = int(self._node.get_clock().now().nanoseconds)
-        problem = self._check.problem(
-            *(now, found.stamp, found.pose, found.twist, found.child_frame, self._settings())
-        )
+        problem = self._check.problem(now, found, self._settings())
         if problem is not None:
             self._refuse(problem)
             return

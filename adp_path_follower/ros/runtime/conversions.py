@@ -1,7 +1,6 @@
 """Between ROS messages and the core's arrays; bad messages raise `MessageError`."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from geometry_msgs.msg import Pose, PoseStamped, Quaternion, Twist
@@ -10,42 +9,16 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import FloatArray, advance_pose, yaw_of_quaternion
+from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
+from adp_path_follower.core.safety.odometry_check import Measurement
 from adp_path_follower.messages.cdr import CdrError
 from adp_path_follower.messages.raw import read_odometry, stamped_numbers
 
 NANOSECONDS = 1_000_000_000
-_LONGEST_PREDICTION = 1.0  # [s]
 
 
 class MessageError(AdpError, ValueError):
     """Report a message that cannot be used."""
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """The parts of an odometry message that the controller uses."""
-
-    stamp: int  # time of the message [ns]
-    pose: FloatArray  # x [m], y [m], theta [rad], shape (3,)
-    twist: FloatArray  # v [m/s], w [rad/s], shape (2,)
-    frame: str  # frame of the pose
-    child_frame: str  # frame of the robot
-
-    def pose_at(self, time: int) -> FloatArray:
-        """Return the pose at a time [ns] by constant twist; as measured for another clock."""
-        age = self._age(time)
-        if age == 0.0:
-            return self.pose
-        return advance_pose(self.pose, self.twist[0], self.twist[1], age)
-
-    def motion_at(self, time: int) -> FloatArray:
-        """Return v [m/s], w [rad/s] and how long [s] `pose_at` has moved the pose on, (3,)."""
-        return np.array([*self.twist, self._age(time)])
-
-    def _age(self, time: int) -> float:
-        age = (time - self.stamp) / NANOSECONDS
-        return age if 0.0 < age < _LONGEST_PREDICTION else 0.0
 
 
 def stamp_nanoseconds(header: Header) -> int:

@@ -8,7 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adp_path_follower.core.geometry import advance_pose, wrap_angle
-from adp_path_follower.core.safety.odometry_check import MissingTwist, OdometryCheck
+from adp_path_follower.core.safety.odometry_check import (
+    Measurement,
+    MissingTwist,
+    OdometryCheck,
+)
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 
@@ -26,10 +30,13 @@ def told(check, stamp, pose, twist=STILL, frame="base_link", now=0.0, tuning=TUN
 
 def found(check, stamp, pose, twist=STILL, frame="base_link", now=0.0, tuning=TUNING):
     """Return what the check finds."""
-    return check.problem(
-        *(round(now * SECOND), round(stamp * SECOND), np.array(pose, float), np.array(twist)),
-        *(frame, tuning),
-    )
+    message = measured_at(round(stamp * SECOND), np.array(pose, float), np.array(twist), frame)
+    return check.problem(round(now * SECOND), message, tuning)
+
+
+def measured_at(stamp, pose, twist=STILL, frame="base_link"):
+    """Return the measurement of a message."""
+    return Measurement(stamp, pose, twist, "odom", frame)
 
 
 @settings(max_examples=60, deadline=None)
@@ -139,16 +146,17 @@ def test_a_velocity_that_is_missing_is_taken_from_the_poses(period, v, w, noise)
         stamp = round((10.0 + step * period) * SECOND)
         measured = pose + random.uniform(-noise, noise, 3)
         measured[2] = wrap_angle(measured[2])
-        found.append(missing.twist(stamp, measured, STILL, TUNING))
+        found.append(missing.twist(measured_at(stamp, measured), TUNING))
         assert told(check, 1e-9 * stamp, measured, found[-1]) == ""
         pose = advance_pose(pose, v, w, period)
     assert missing.missing
     later = np.array(found[len(found) // 2 :])
     np.testing.assert_allclose(later.mean(axis=0), [v, w], atol=0.02)
     sound = np.array([0.3, 0.1])
-    assert missing.twist(10**12, pose, sound, TUNING) is sound
+    assert missing.twist(measured_at(10**12, pose, sound), TUNING) is sound
     assert not missing.missing  # for good: a source that has velocities means its zeros
-    assert missing.twist(10**12 + SECOND // 10, pose + 0.2, STILL, TUNING) is STILL
+    later_on = measured_at(10**12 + SECOND // 10, pose + 0.2)
+    assert missing.twist(later_on, TUNING) is STILL
 
 
 def test_a_robot_at_rest_and_one_that_jumps_have_no_other_velocity_than_theirs():
@@ -156,4 +164,5 @@ def test_a_robot_at_rest_and_one_that_jumps_have_no_other_velocity_than_theirs()
         missing = MissingTwist()
         for step in range(50):
             pose = np.array([step_of(step), 0.0, 0.0])
-            assert missing.twist(SECOND + step * SECOND // 100, pose, STILL, TUNING) is STILL
+            message = measured_at(SECOND + step * SECOND // 100, pose)
+            assert missing.twist(message, TUNING) is STILL
