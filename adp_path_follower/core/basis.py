@@ -1,9 +1,11 @@
 """Bases of the value function: sigma(zeta) and its gradient sigma'(zeta)."""
 
 import functools
+import itertools
+import operator
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,104 +112,85 @@ class Basis(ABC):
         """Return the weights of e^T P e to second order for P (..., 3, 3), shape (..., L)."""
 
 
-class QuadraticBasis(Basis):
-    """A basis of products of two states, and of single states."""
+class MonomialBasis(Basis):
+    """A basis of products of powers of the states."""
 
-    def __init__(
-        self, products: tuple[tuple[int, int], ...], singles: tuple[int, ...] = ()
-    ) -> None:
-        """Take a pair (i, j) for each term zeta_i zeta_j, and an i for each single zeta_i."""
-        names = STATE_LABELS
-        squares = [f"{names[i]}²" if i == j else f"{names[i]} {names[j]}" for i, j in products]
-        self.labels = (*squares, *(names[i] for i in singles))
-        self.depends_on_path_state = any(3 in product for product in products) or 3 in singles
-        self._products = products
-        size, count = len(products) + len(singles), len(STATE_LABELS)
-        self._slope = np.zeros((size, count, count))
-        for term, (i, j) in enumerate(products):
-            self._slope[term, i, j] += 1.0
-            self._slope[term, j, i] += 1.0
-        self._offset = np.zeros((size, count))
-        for term, i in enumerate(singles, start=len(products)):
-            self._offset[term, i] = 1.0
-        # sigma' less its offset, variable by variable, is zeta times this.
-        self._flat_slope = self._slope.transpose(2, 1, 0).reshape(count, count * size).copy()
-
-    def expansion(self, zeta: FloatArray) -> Expansion:
-        """Return sigma and the parts of sigma' at states of shape (..., 4)."""
-        offset = self._offset.T
-        slope = (zeta @ self._flat_slope).reshape(*zeta.shape[:-1], *offset.shape)
-        value = np.matmul(zeta[..., None, :], 0.5 * slope + offset)[..., 0, :]
-        return Expansion(value, slope + offset)
-
-    def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
-        """Return the weights of the value function e^T P e for P (..., 3, 3), shape (..., L)."""
-        pairs = [(term, pair) for term, pair in enumerate(self._products) if max(pair) < 3]
-        return _weights_of_products(matrix, pairs, len(self.labels))
-
-
-class PolynomialBasis(Basis):
-    """All monomials of the error e = [s, y, theta] from degree 2 to a highest degree."""
-
-    def __init__(self, degree: int) -> None:
-        """Prepare the exponents, by rising degree: the quadratic terms come first."""
-        self.degree = degree
-        self._exponents = np.array(
-            [
-                (i, j, total - i - j)
-                for total in range(2, degree + 1)
-                for i in range(total, -1, -1)
-                for j in range(total - i, -1, -1)
-            ]
-        )
+    def __init__(self, exponents: Iterable[Sequence[int]]) -> None:
+        """Take the powers of s, y and theta, and perhaps of phi, of each of L terms."""
+        powers = np.array(list(exponents))
         self.labels = tuple(
             " ".join(
                 STATE_LABELS[axis] + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
-                for axis, power in enumerate(powers)
+                for axis, power in enumerate(row)
                 if power
             )
-            for powers in self._exponents.tolist()
+            for row in powers.tolist()
         )
-        # Where the factors of sigma and of its derivatives by s, y and theta, (4, L), stand in a
-        # table of each variable's powers 0, 1, ... and of their derivatives.
-        size = degree + 1
-        self._factors = [
-            2 * axis * size
-            + self._exponents[:, axis]
-            + size * (np.arange(4) == axis + 1).astype(int)[:, None]
-            for axis in range(3)
+        variables = powers.shape[1]
+        self.depends_on_path_state = variables > 3
+        self._pairs = [  # of each term e_i e_j: its number, i and j
+            (term, *np.repeat(range(variables), row).tolist())
+            for term, row in enumerate(powers)
+            if row.sum() == row[:3].sum() == 2
         ]
+        # Where the factors of sigma and of its derivatives stand in a table of the powers 0, 1, ...
+        # of each of V variables and of their derivatives.
+        size = self._size = int(powers.max()) + 1
+        axes = np.arange(variables)[:, None, None]
+        slopes = np.arange(1 + variables)[:, None] == axes + 1
+        self._factors = size * (2 * axes + slopes) + powers.T[:, None]  # (V, 1 + V, L)
 
     def expansion(self, zeta: FloatArray) -> Expansion:
         """Return sigma and the parts of sigma' at states of shape (..., 4)."""
         table = self._powers(zeta)
-        together = table.take(self._factors[0], axis=-1)
-        for factor in self._factors[1:]:
-            together *= table.take(factor, axis=-1)
+        if zeta.ndim == 1:
+            together = table.take(self._factors).prod(axis=0)
+        else:  # in a batch, all factors at once would not fit into the caches
+            together = table.take(self._factors[0], axis=-1)
+            for factor in self._factors[1:]:
+                together *= table.take(factor, axis=-1)
         return Expansion(together[..., 0, :], together[..., 1:, :])
 
     def _powers(self, zeta: FloatArray) -> FloatArray:
-        """Return x^k and k x^(k - 1) for k = 0, 1, ... of s, y and theta, (..., 6 (degree + 1))."""
+        """Return x^k and k x^(k - 1) for k = 0, 1, ... of each variable, (..., 2 V size)."""
+        variables = len(self._factors)
         if zeta.ndim == 1:
             table: list[float] = []
-            for error in zeta.tolist()[:3]:
+            for state in zeta.tolist()[:variables]:
                 powers = [1.0]
-                for _ in range(self.degree):
-                    powers.append(powers[-1] * error)
+                for _ in range(1, self._size):
+                    powers.append(powers[-1] * state)
                 table += powers
-                table += [0.0, *(k * power for k, power in enumerate(powers[:-1], start=1))]
+                table.append(0.0)
+                table += map(operator.mul, range(1, self._size), powers)
             return np.array(table)
-        tables = np.ones((*zeta.shape[:-1], 3, 2, self.degree + 1))
+        tables = np.ones((*zeta.shape[:-1], variables, 2, self._size))
         tables[..., 1, 0] = 0.0
-        for k in range(1, self.degree + 1):
+        for k in range(1, self._size):
             lower = tables[..., 0, k - 1]
-            np.multiply(lower, zeta[..., :3], out=tables[..., 0, k])
+            np.multiply(lower, zeta[..., :variables], out=tables[..., 0, k])
             np.multiply(lower, k, out=tables[..., 1, k])
         return tables.reshape(*zeta.shape[:-1], -1)
 
     def quadratic_weights(self, matrix: FloatArray) -> FloatArray:
         """Return the weights of the value function e^T P e for P (..., 3, 3), shape (..., L)."""
-        return _weights_of_products(matrix, enumerate(PAIRS), len(self.labels))
+        weights = np.zeros((*matrix.shape[:-2], len(self.labels)))
+        for term, i, j in self._pairs:
+            weights[..., term] = matrix[..., i, j] * (1.0 if i == j else 2.0)
+        return weights
+
+
+class PolynomialBasis(MonomialBasis):
+    """All monomials of the error e = [s, y, theta] from degree 2 to a highest degree."""
+
+    def __init__(self, degree: int) -> None:
+        """Take the terms by rising degree: the quadratic ones come first."""
+        super().__init__(
+            (i, j, total - i - j)
+            for total in range(2, degree + 1)
+            for i in range(total, -1, -1)
+            for j in range(total - i, -1, -1)
+        )
 
 
 class HalfAngleBasis(Basis):
@@ -238,16 +221,6 @@ class HalfAngleBasis(Basis):
         return self._basis.quadratic_weights(matrix)
 
 
-def _weights_of_products(
-    matrix: FloatArray, pairs: Iterable[tuple[int, tuple[int, int]]], size: int
-) -> FloatArray:
-    """Return weights (..., L) of e^T P e for P (..., 3, 3), where terms are products e_i e_j."""
-    weights = np.zeros((*matrix.shape[:-2], size))
-    for term, (i, j) in pairs:
-        weights[..., term] = matrix[..., i, j] * (1.0 if i == j else 2.0)
-    return weights
-
-
 def half_angle_state(zeta: FloatArray) -> FloatArray:
     """Return states (..., 4) with a and b in the places of s and y, shape (..., 4)."""
     return _half_angle(zeta)[0]
@@ -262,7 +235,8 @@ def _half_angle(zeta: FloatArray) -> tuple[FloatArray, HalfTurn]:
     return components(frame.a, frame.b, theta, phi), frame
 
 
-_CROSS_TERMS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+_UNITS = np.eye(4, dtype=int)
+_CROSS_TERMS = [_UNITS[i] + _UNITS[j] for i, j in itertools.combinations(range(4), 2)]
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of the polynomial's quadratic terms
 _SUPERSCRIPTS = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
 
@@ -285,7 +259,7 @@ def make_basis(name: str, degree: int, frame: str) -> Basis:
     elif name == "polynomial":
         basis = PolynomialBasis(degree)
     elif name == "paper":
-        basis = QuadraticBasis(products=(*_CROSS_TERMS, (0, 0), (1, 1), (2, 2)))
+        basis = MonomialBasis([*_CROSS_TERMS, *2 * _UNITS[:3]])
     else:
-        basis = QuadraticBasis(products=_CROSS_TERMS, singles=(0, 1, 2))
+        basis = MonomialBasis([*_CROSS_TERMS, *_UNITS[:3]])
     return HalfAngleBasis(basis) if frame == "half_angle" else basis

@@ -46,7 +46,7 @@ class FirstTerms(PolynomialBasis):
         degree = next(d for d in range(2, 9) if len(PolynomialBasis(d).labels) >= size)
         super().__init__(degree)
         self.labels = self.labels[:size]
-        self._factors = [factor[:, :size] for factor in self._factors]
+        self._factors = self._factors[..., :size]
 
 
 @dataclasses.dataclass(frozen=True)

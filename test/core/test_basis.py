@@ -12,8 +12,8 @@ from adp_path_follower.core.basis import (
     BASES,
     FRAMES,
     HalfAngleBasis,
+    MonomialBasis,
     PolynomialBasis,
-    QuadraticBasis,
     make_basis,
 )
 
@@ -76,9 +76,9 @@ def test_a_batch_of_states_is_as_single_ones(name, zeta):
 
 @settings(max_examples=60, deadline=None)
 @given(zeta=states)
-def test_any_products_and_singles_make_a_basis(zeta):
-    basis = QuadraticBasis(products=((3, 3), (2, 0)), singles=(3, 1))
-    assert basis.labels == ("φ²", "θ s", "φ", "y")
+def test_any_powers_make_a_basis(zeta):
+    basis = MonomialBasis([(0, 0, 0, 2), (1, 0, 1, 0), (0, 0, 0, 1), (0, 1, 0, 0)])
+    assert basis.labels == ("φ²", "s θ", "φ", "y")
     s, y, theta, phi = zeta
     np.testing.assert_allclose(basis.value(zeta), [phi * phi, theta * s, phi, y], atol=1e-12)
     expected = [[0, 0, 0, 2 * phi], [theta, 0, s, 0], [0, 0, 0, 1], [0, 1, 0, 0]]
@@ -202,8 +202,8 @@ def test_bases_say_whether_they_know_the_path_state(frame):
     assert not make_basis("polynomial", 4, frame).depends_on_path_state
     assert make_basis("paper", 2, frame).depends_on_path_state
     assert make_basis("paper_misprinted", 2, frame).depends_on_path_state
-    assert not QuadraticBasis(products=((0, 1), (2, 2))).depends_on_path_state
-    assert QuadraticBasis(products=((0, 1),), singles=(3,)).depends_on_path_state
+    assert not MonomialBasis([(1, 1, 0), (0, 0, 2)]).depends_on_path_state
+    assert MonomialBasis([(1, 1, 0, 0), (0, 0, 0, 1)]).depends_on_path_state
 
 
 # --- weights of a quadratic form ----------------------------------------------------------------
