@@ -24,7 +24,7 @@ from adp_path_follower.ros.runtime.conversions import (
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
 from adp_path_follower.ros.runtime.qos import EVERY_STEP, LOSSLESS
 from adp_path_follower.ros.runtime.run import Ending, run_node
-from adp_path_follower.ros.runtime.triggers import trigger_services
+from adp_path_follower.ros.runtime.services import trigger_services
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.odometry import Reading
 from sim_unicycle.settings import SimulatorSettings, with_robot

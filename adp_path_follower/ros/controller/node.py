@@ -37,8 +37,11 @@ from adp_path_follower.ros.controller.weights import WeightsFiles
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
 from adp_path_follower.ros.runtime.path_frame import PathFrame
 from adp_path_follower.ros.runtime.run import Ending
-from adp_path_follower.ros.runtime.service_guards import defend_services, told_if_it_fails
-from adp_path_follower.ros.runtime.triggers import trigger_services
+from adp_path_follower.ros.runtime.services import (
+    defend_services,
+    told_if_it_fails,
+    trigger_services,
+)
 
 NODE_NAME = "path_follower"
 

@@ -70,12 +70,6 @@ class FittingProcess:
         self._starting = threading.Lock()  # so that none is started when all is over
         self._start(ForkContext())
 
-    @property
-    def pid(self) -> int:
-        """Return the number of the process."""
-        assert self._process.pid is not None  # it was started
-        return self._process.pid
-
     def __enter__(self) -> FittingProcess:
         """Return the running process."""
         return self
@@ -221,3 +215,13 @@ def _read(connection: socket.socket, size: int) -> np.ndarray:
             raise EOFError
         rest = rest[count:]
     return found
+
+
+def main() -> int:
+    """Run the node with the process beside it; return the node's exit code."""
+    with FittingProcess() as fitting:
+        # Only now: the imports of the two processes take half a second, and go on side by side.
+        from adp_path_follower.ros.controller.node import NODE_NAME, PathFollowerNode
+        from adp_path_follower.ros.runtime.run import run_node
+
+        return run_node(NODE_NAME, lambda: PathFollowerNode(fitting.route))

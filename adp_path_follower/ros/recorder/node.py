@@ -23,6 +23,7 @@ from adp_path_follower.core.files import expanded
 from adp_path_follower.ros.recorder.settings import (
     RUN_TOPICS,
     RecorderSettings,
+    is_meant,
     provenance,
     topic_patterns,
 )
@@ -55,9 +56,9 @@ class RecorderNode(Ending, Node):
         self._recorded: dict[str, tuple[int, Subscription]] = {}
         self._cause = ""  # why the recording stopped before its time
         settings = declare_settings(self, RecorderSettings)
-        choice, names = settings.topics, (self.get_namespace(), self.resolve_topic_name)
-        self._wanted = topic_patterns("topics", choice.topics, *names)
-        self._unwanted = topic_patterns("exclude", choice.exclude, *names)
+        choice = settings.topics
+        self._wanted = topic_patterns("topics", choice.topics, self.resolve_topic_name)
+        self._unwanted = topic_patterns("exclude", choice.exclude, self.resolve_topic_name)
         self._takes_all = choice.all
         self._writer: BagWriter | None = _new_bag(settings)
         self._bag = self._writer  # for the status, also afterwards
@@ -100,8 +101,8 @@ class RecorderNode(Ending, Node):
             return
         found = {name for name, _ in self.get_topic_names_and_types()}
         for topic in sorted(found - self._settled):
-            wanted = self._takes_all or self._wanted.match(topic)
-            if not wanted or self._unwanted.match(topic):
+            wanted = self._takes_all or is_meant(self._wanted, topic, self.get_namespace())
+            if not wanted or is_meant(self._unwanted, topic, self.get_namespace()):
                 self._settled.add(topic)
             elif publishers := self.get_publishers_info_by_topic(topic):
                 self._settled.add(topic)

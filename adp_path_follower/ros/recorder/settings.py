@@ -1,11 +1,12 @@
 """The recorder's settings, and what metadata.yaml says of a recording's origin."""
 
+import contextlib
 import functools
 import os
 import platform
 import re
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as FilePath
@@ -105,43 +106,32 @@ class RecorderSettings:
     bag: BagSettings
 
 
-@dataclass(frozen=True)
-class TopicPatterns:
-    """Names and regular expressions of topics."""
-
-    names: frozenset[str]
-    expressions: tuple[re.Pattern[str], ...]
-    namespace: str
-
-    def match(self, topic: str) -> bool:
-        """Return whether a topic is meant: all of its name, full or in the namespace, matches."""
-        relative = topic.removeprefix(f"{self.namespace.rstrip('/')}/")
-        return topic in self.names or any(
-            expression.fullmatch(topic) or expression.fullmatch(relative)
-            for expression in self.expressions
-        )
+def is_meant(patterns: Iterable[re.Pattern[str]], topic: str, namespace: str) -> bool:
+    """Return whether all of a topic's name, full or in the namespace, matches one of patterns."""
+    names = topic, topic.removeprefix(f"{namespace.rstrip('/')}/")
+    return any(pattern.fullmatch(name) for pattern in patterns for name in names)
 
 
 def topic_patterns(
-    setting: str, texts: Sequence[str], namespace: str, resolve: Callable[[str], str]
-) -> TopicPatterns:
-    """Return the patterns that a setting lists, for a node in a namespace.
+    setting: str, texts: Sequence[str], resolve: Callable[[str], str]
+) -> list[re.Pattern[str]]:
+    """Return the patterns of the names and regular expressions that a setting lists.
 
     `resolve` returns a name's full one, after remapping. Raises SettingsError for any other text.
     """
-    names, expressions = set(), []
+    found = []
     for text in texts:
-        if _NAME.fullmatch(text):
-            names.add(_resolved(setting, text, resolve))
-            continue
         try:
-            expressions.append(re.compile(text))
+            if _NAME.fullmatch(text):
+                found.append(re.compile(re.escape(_resolved(setting, text, resolve))))
+            else:
+                found.append(re.compile(text))
         except re.error as error:
             raise SettingsError(
                 f"setting '{setting}' lists {text!r}, which is no regular expression: {error}; "
                 "write a topic's name, or an expression like '/robot/.*'"
             ) from None
-    return TopicPatterns(frozenset(names), tuple(expressions), namespace)
+    return found
 
 
 def _resolved(setting: str, name: str, resolve: Callable[[str], str]) -> str:
@@ -160,8 +150,10 @@ def provenance(settings: object) -> dict[str, str]:
         "host": platform.node(),
         "adp_path_follower": __version__,
         "python": platform.python_version(),
-        **{name: found for name in ("numpy", "rclpy") if (found := _version(name))},
     }
+    for name in ("numpy", "rclpy"):
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
     if distribution := os.environ.get("ROS_DISTRO"):
         found["ros_distro"] = distribution
     if revision := git_revision(FilePath()):
@@ -180,10 +172,3 @@ def git_revision(directory: FilePath) -> str:
     except (OSError, subprocess.CalledProcessError):
         return ""
     return done.stdout.strip()
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""

@@ -23,13 +23,13 @@ def _main(module: str) -> None:
     try:
         code = importlib.import_module(module).main()
     except ModuleNotFoundError as error:
-        name = module.removesuffix(".process").removesuffix(".node").rpartition(".")[2]
+        name = module.removesuffix(".path_process").removesuffix(".node").rpartition(".")[2]
         sys.exit(missing_text(f"the node {name}", "jazzy", str(error.name)))
     sys.exit(code)
 
 
 # The console scripts of setup.py.
-controller = functools.partial(_main, "adp_path_follower.ros.controller.process")
+controller = functools.partial(_main, "adp_path_follower.ros.controller.path_process")
 path_publisher = functools.partial(_main, "adp_path_follower.ros.path_publisher")
 recorder = functools.partial(_main, "adp_path_follower.ros.recorder.node")
 sim_unicycle = functools.partial(_main, "sim_unicycle.node")

@@ -149,7 +149,7 @@ def test_a_stop_of_an_inactive_controller_says_nothing(drive):
 
 DEFECTIVE_TRANSITION = """
 import sys
-from adp_path_follower.ros.controller import process
+from adp_path_follower.ros.controller import path_process
 from adp_path_follower.ros.controller.commands import Commands
 from adp_path_follower.ros.controller.telemetry import Telemetry
 
@@ -157,7 +157,7 @@ def fail(*arguments):
     raise RuntimeError("a defect")
 
 {owner}.{name} = fail
-sys.exit(process.main())
+sys.exit(path_process.main())
 """
 
 

@@ -271,7 +271,7 @@ def test_descriptors_come_from_the_settings():
 BROKEN_CONTROLLER = """
 import sys
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.ros.controller import process as controller_process
+from adp_path_follower.ros.controller import path_process
 
 step_at, steps = PathFollower.step_at, []
 
@@ -282,7 +282,7 @@ def failing(self, pose, time, learn=True):
     return step_at(self, pose, time, learn)
 
 PathFollower.step_at = failing
-sys.exit(controller_process.main())
+sys.exit(path_process.main())
 """
 
 

@@ -58,11 +58,11 @@ def test_what_is_refused_is_refused_with_the_same_words(raw):
 def test_a_process_that_has_ended_meanwhile_is_replaced():
     with FittingProcess() as fitting:
         for _ in range(2):
-            ended = fitting.pid
+            ended = fitting._process.pid
             os.kill(ended, signal.SIGKILL)
             _until_dead(ended)
             assert fitting.route(EIGHT, PathSettings()).closed
-            assert fitting.pid != ended
+            assert fitting._process.pid != ended
 
 
 def test_an_answer_that_cannot_be_taken_is_not_taken_for_the_next_one(monkeypatch):
@@ -102,17 +102,17 @@ def test_a_path_that_the_process_is_lost_at_is_refused(monkeypatch, defect, told
         patch.setattr(path_process, "route_of_message", defect)
         fitting = FittingProcess()  # a fork, which has the defect; what replaces it does not
     with fitting:
-        first = fitting.pid
+        first = fitting._process.pid
         with monkeypatch.context() as patch:
             if defect is stop_itself:
                 patch.setattr(path_process, "_PATIENCE", 1.0)
             with pytest.raises(PathError, match=told):
                 fitting.route(EIGHT, PathSettings())
         if defect is fail:
-            assert fitting.pid == first  # and goes on
+            assert fitting._process.pid == first  # and goes on
             return
         assert fitting.route(EIGHT, PathSettings()).closed
-        assert fitting.pid != first
+        assert fitting._process.pid != first
 
 
 def test_a_machine_with_no_process_left_prepares_paths_all_the_same(monkeypatch):
@@ -140,7 +140,9 @@ def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd, monkeypa
         ended.append(True)
 
     with FittingProcess() as fitting:
-        os.kill(fitting.pid, signal.SIGSTOP)  # so that it does not answer before it is told
+        os.kill(
+            fitting._process.pid, signal.SIGSTOP
+        )  # it answers when it is told
         asking = threading.Thread(target=ask)
         asking.start()
         assert waits.wait(30.0)
@@ -152,7 +154,6 @@ def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd, monkeypa
 ENDING_BEFORE_ITS_PATH = """
 import sys, threading, time
 from adp_path_follower.ros.controller import path_process
-from adp_path_follower.ros.controller import process as controller_process
 from adp_path_follower.ros.controller.node import PathFollowerNode
 
 gone, got = threading.Event(), threading.Event()
@@ -176,7 +177,7 @@ def destroy_first(self):
 
 
 path_process.FittingProcess.route, PathFollowerNode.destroy_node = late, destroy_first
-sys.exit(controller_process.main())
+sys.exit(path_process.main())
 """
 
 
@@ -253,7 +254,6 @@ def test_a_process_that_is_stopped_hinders_neither_a_cleanup_nor_the_end(drive):
 LITTLE_PATIENCE = """
 import sys
 from adp_path_follower.ros.controller import path_process
-from adp_path_follower.ros.controller import process as controller_process
 
 answer = path_process.FittingProcess._answer
 
@@ -265,7 +265,7 @@ def answer_and_hurry(self, *request):
 
 
 path_process.FittingProcess._answer = answer_and_hurry
-sys.exit(controller_process.main())
+sys.exit(path_process.main())
 """
 
 

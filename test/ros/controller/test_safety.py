@@ -173,7 +173,7 @@ def test_a_clock_that_does_not_start_stands_still_or_jumps_back(peer, start):
 
 HANGING_CONTROLLER = """
 import os, sys
-from adp_path_follower.ros.controller import process
+from adp_path_follower.ros.controller import path_process
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.ros.runtime.path_frame import PathFrame
 from adp_path_follower.ros.controller.telemetry import Telemetry
@@ -187,7 +187,7 @@ def hanging(*arguments, **named):
     return works(*arguments, **named)
 
 setattr(OWNER, NAME, hanging)
-sys.exit(process.main())
+sys.exit(path_process.main())
 """
 
 

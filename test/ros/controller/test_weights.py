@@ -98,7 +98,7 @@ SAVE = "path_follower/save_weights"
 SLOW_DISK = """
 import sys
 from adp_path_follower.ros.controller import weights
-from adp_path_follower.ros.controller import process as controller_process
+from adp_path_follower.ros.controller import path_process
 
 write = weights.write_weights
 
@@ -111,7 +111,7 @@ def late(file, content):
 
 weights.write_weights = late
 sys.argv[1:] = ["--ros-args", "-p", "save_weights_to:={file}"]
-sys.exit(controller_process.main())
+sys.exit(path_process.main())
 """
 
 

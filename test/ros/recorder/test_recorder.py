@@ -25,7 +25,12 @@ from std_srvs.srv import Trigger
 from adp_path_follower.bags.recovery.recover import recover
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.ros.recorder.settings import RecorderSettings, git_revision, topic_patterns
+from adp_path_follower.ros.recorder.settings import (
+    RecorderSettings,
+    git_revision,
+    is_meant,
+    topic_patterns,
+)
 from adp_path_follower.study.demo.closed_loop import own_domain
 
 pytestmark = pytest.mark.nodes
@@ -212,7 +217,8 @@ def test_names_and_expressions(text, topic, expected):
     def resolve(name: str) -> str:
         return name if name.startswith("/") else f"/robot/{name}"
 
-    assert topic_patterns("topics", (text,), "/robot", resolve).match(topic) is expected
+    patterns = topic_patterns("topics", (text,), resolve)
+    assert is_meant(patterns, topic, "/robot") is expected
 
 
 def test_revisions_of_real_repositories(tmp_path):

@@ -1,11 +1,12 @@
-"""Guards services against bad requests and logs failed lifecycle transitions."""
+"""Offers services, guards them against bad requests, and logs failed lifecycle transitions."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
 # Texts that rclpy raises for wrong requests. Any other error is a defect and ends the node.
 _CLIENTS_MISTAKES = ("Transition is not registered", "is not a valid Parameter.Type")
@@ -51,3 +52,24 @@ def _defended(callback: Callable[..., Any], name: str, node: Node) -> Callable[.
             return response
 
     return answer
+
+
+def trigger_services(node: Node, acts: Mapping[str, Callable[[], str]]) -> list[tuple[Any, Any]]:
+    """Offer services below ~/ that call what they are mapped to, and answer its text.
+
+    Returns pairs of what destroys a service, and the service.
+    """
+
+    def answer(
+        act: Callable[[], str], request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.success, response.message = True, act()
+        return response
+
+    return [
+        (
+            node.destroy_service,
+            node.create_service(Trigger, f"~/{name}", functools.partial(answer, act)),
+        )
+        for name, act in acts.items()
+    ]
