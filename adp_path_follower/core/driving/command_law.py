@@ -35,7 +35,7 @@ from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray, Number, components, cos, inner, numbers, sin
 from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.learning.path_learner import Learner
-from adp_path_follower.core.learning.weights import LocalWeights
+from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
@@ -53,7 +53,7 @@ class Situation:
     feedforward: FloatArray  # [v_ss, w_ss], shape (..., 2)
     heading: Numbers  # cos and sin of the heading error, numbers of shape (...)
     expansion: Expansion  # sigma and sigma'
-    local: LocalWeights  # the weights
+    weights: Weights  # critic and actor there
 
 
 class CommandLaw:
@@ -145,7 +145,7 @@ class CommandLaw:
             arc_length=arc_length,
             curvature=frame.curvature,
             running_cost=running_cost,
-            weights=here.local.weights,
+            weights=here.weights,
             measured=measured,
             sampled=self._learner.sampled,
             doubt=doubt,
@@ -171,19 +171,19 @@ class CommandLaw:
             feedforward=error_dynamics.feedforward(curvature if coming is None else coming, v_des),
             heading=(cos(theta), sin(theta)),
             expansion=self._basis.expansion(zeta),
-            local=self._learner.local(arc_length),
+            weights=self._learner.local(arc_length),
         )
 
     def actor_input(self, here: Situation) -> FloatArray:
         """Return u = -1/2 R^-1 g^T sigma'^T Wa without limits, shape (..., 2), equation (2)."""
-        by_s, by_y, by_theta, _ = here.expansion.slope(here.local.weights.actor)
+        by_s, by_y, by_theta, _ = here.expansion.slope(here.weights.actor)
         cos_theta, sin_theta = here.heading
         descent = components(cos_theta * by_s + sin_theta * by_y, by_theta)  # g^T sigma'^T Wa
         return descending_input(descent, self._inverse_cost)
 
     def _unforced(self, here: Situation) -> tuple[Numbers, Number]:
         """Return f of equation (1), four numbers, and (dWc/ds_p)^T sigma s_p', shape (...) each."""
-        target, slope = self.settings.target, here.local.slope
+        target, slope = self.settings.target, here.weights.slope
         passing: Number = 0.0
         if slope is not None:
             speed = error_dynamics.target_speed(here.zeta, target, here.v_des)
@@ -202,7 +202,7 @@ class CommandLaw:
             (s_rate + cos_theta * v, y_rate + sin_theta * v, turn + w, phi_rate)  # f + g u
         )
         cost_rate = (running_cost + passing)[..., None]
-        errors = bellman_errors(here.local.weights.critic, omega[..., None, :], cost_rate)
+        errors = bellman_errors(here.weights.critic, omega[..., None, :], cost_rate)
         return running_cost, errors
 
     def _doubt(
@@ -215,7 +215,7 @@ class CommandLaw:
         dt: float,
     ) -> FloatArray:
         """Return the share of the Riccati policy from 0 to 1, shape (...), equation (5)."""
-        value = inner(here.local.weights.critic, here.expansion.value)
+        value = inner(here.weights.critic, here.expansion.value)
         state = (here.zeta, here.curvature, learned, here.feedforward)
         drives = self._wide_region.share(here.zeta) < 1.0
         return fallback.doubt(measured.error[..., 0], running_cost, value, *state, dt, drives)

@@ -102,7 +102,7 @@ class PathFollower:
     @property
     def weights(self) -> Weights:
         """Return critic and actor weights where the target is, shape (..., L) each."""
-        return self._learner.local(self.arc_length).weights
+        return self._learner.local(self.arc_length)
 
     @property
     def learning_problem(self) -> str:

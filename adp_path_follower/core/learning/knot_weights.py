@@ -10,7 +10,6 @@ from adp_path_follower.core.geometry import FloatArray, Number, clamped
 from adp_path_follower.core.learning.update_laws import surely_finite
 from adp_path_follower.core.learning.weights import (
     LearnedWeights,
-    LocalWeights,
     Weights,
     initial_weights,
 )
@@ -119,7 +118,7 @@ class KnotWeights:
         place = np.where(np.isnan(arc_length), 0.0, arc_length) / self.spacing
         return np.minimum(np.maximum(place, -_FARTHEST), _FARTHEST)
 
-    def local(self, arc_length: FloatArray) -> LocalWeights:
+    def local(self, arc_length: FloatArray) -> Weights:
         """Return the weights at arc lengths [m] of any shape, and their slope along the path."""
         position = self.position(arc_length)
         if isinstance(position, float):
@@ -142,7 +141,7 @@ class KnotWeights:
             safe = self.safe(self._path.curvature(arc_length), speed)
             critic, actor = np.where(sound, critic, safe), np.where(sound, actor, safe)
             slope = np.where(sound, slope, 0.0)
-        return LocalWeights(Weights(critic, actor), slope)
+        return Weights(critic, actor, slope)
 
     def _slots_about(self, knot: int) -> Sequence[int]:
         """Return the slots of a knot and of the next, most often those of the last call."""

@@ -17,7 +17,6 @@ from adp_path_follower.core.learning.samples import sample_grid
 from adp_path_follower.core.learning.update_laws import follow, least_squares, update_weights
 from adp_path_follower.core.learning.weights import (
     LearnedWeights,
-    LocalWeights,
     Weights,
     initial_weights,
 )
@@ -110,9 +109,9 @@ class PathStateLearner:
             self._swept = (self.weights, found)
         return self._swept[1]
 
-    def local(self, arc_length: FloatArray) -> LocalWeights:
+    def local(self, arc_length: FloatArray) -> Weights:
         """Return the weights, which are the same everywhere."""
-        return LocalWeights(self.weights)
+        return self.weights
 
     def learn(self, observation: Observation, dt: float) -> None:
         """Learn for dt [s] from the Bellman errors at the measured state and at the samples."""

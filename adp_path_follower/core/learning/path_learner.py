@@ -24,7 +24,7 @@ from adp_path_follower.core.learning.knot_weights import KnotWeights
 from adp_path_follower.core.learning.paper_learner import PathStateLearner
 from adp_path_follower.core.learning.sweep import Group, KnotCritic, Sweep
 from adp_path_follower.core.learning.update_laws import follow
-from adp_path_follower.core.learning.weights import LearnedWeights, LocalWeights, Weights
+from adp_path_follower.core.learning.weights import LearnedWeights, Weights
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
@@ -120,17 +120,12 @@ class PathLearner:
         """Return why the Riccati policy has taken over for a robot, empty if it has for none."""
         return next(iter(self._problems.values()), "")
 
-    def local(self, arc_length: FloatArray) -> LocalWeights:
+    def local(self, arc_length: FloatArray) -> Weights:
         """Return each robot's weights at its arc length [m], and their slope along the path."""
         if arc_length.ndim < 2:  # as the knots have them
             return self._knots.local(arc_length)
-        found = self._knots.local(arc_length.ravel())
-        assert found.slope is not None  # weights change along the path
-        critic, actor, slope = (
-            values.reshape(*arc_length.shape, -1)
-            for values in (found.weights.critic, found.weights.actor, found.slope)
-        )
-        return LocalWeights(Weights(critic, actor), slope)
+        found = vars(self._knots.local(arc_length.ravel())).values()
+        return Weights(*(values.reshape(*arc_length.shape, -1) for values in found))
 
     def learn(self, observation: Observation, dt: float) -> None:
         """Let actors follow for dt [s], and use some samples of the knots whose turn it is."""

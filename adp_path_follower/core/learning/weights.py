@@ -11,20 +11,11 @@ from adp_path_follower.core.settings.learning import LearningSettings
 
 @dataclass(frozen=True)
 class Weights:
-    """Critic weights Wc and actor weights Wa, each of shape (..., L)."""
+    """Critic weights Wc and actor weights Wa at a place of the path, each of shape (..., L)."""
 
     critic: FloatArray
     actor: FloatArray
-
-
-@dataclass(frozen=True)
-class LocalWeights:
-    """The value function at a place of the path."""
-
-    weights: Weights  # critic and actor there, shape (..., L) each
-    # How the critic changes along the path [1/m], shape (..., L), or None if it is the same
-    # everywhere.
-    slope: FloatArray | None = None
+    slope: FloatArray | None = None  # of Wc along the path [1/m], (..., L); None: none
 
 
 @dataclass(frozen=True)
@@ -42,10 +33,7 @@ class LearnedWeights:
 
 
 def initial_weights(
-    learning: LearningSettings,
-    riccati: RiccatiSchedule,
-    curvature: FloatArray,
-    speed: Number,
+    learning: LearningSettings, riccati: RiccatiSchedule, curvature: FloatArray, speed: Number
 ) -> Weights:
     """Return the first weights at curvatures [1/m] and speeds [m/s] (...), shape (..., L)."""
     size = len(learning.value_basis.labels)

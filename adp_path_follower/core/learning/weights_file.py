@@ -9,7 +9,6 @@ keeps them.
 import hashlib
 import io
 import math
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
@@ -146,17 +145,11 @@ class _DamageError(Exception):
 
 def _unpacked(content: bytes) -> dict[str, np.ndarray]:
     """Return the arrays of an .npz file, whose checksums are right."""
-    names = ("head", *_ARRAYS)
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            members = [archive.getinfo(f"{name}.npy") for name in names]
-            if sum(member.file_size for member in members) > _MOST_BYTES:
+        with np.load(io.BytesIO(content)) as archive:
+            if sum(member.file_size for member in archive.zip.infolist()) > _MOST_BYTES:
                 raise _DamageError("its arrays are too large")
-            raw = [archive.read(member) for member in members]
-        return {
-            name: np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-            for name, data in zip(names, raw, strict=True)
-        }
+            return {name: archive[name] for name in ("head", *_ARRAYS)}
     except _DamageError:
         raise
     except Exception as error:  # any exception of the libraries for damaged bytes

@@ -102,7 +102,7 @@ def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
             ("/path_follower/target", _pose(output.target_pose)),
         ):
             yield arrival, topic, stamped_numbers(stamp, "odom", numbers)
-        for name, weights in vars(output.weights).items():
+        for name, weights in (("critic", output.weights.critic), ("actor", output.weights.actor)):
             yield arrival, f"/path_follower/{name}_weights", _array(store, label, weights)
         for name, value in (
             ("bellman_error", output.bellman_error),

@@ -198,7 +198,7 @@ def test_the_samples_are_those_of_the_present_weights():
 def test_weights_are_the_same_everywhere():
     learner = learner_of(PAPER)
     local = learner.local(np.array([0.0, 50.0]))
-    assert local.weights is learner.weights
+    assert local is learner.weights
     assert local.slope is None
     assert learner.problem == ""
 

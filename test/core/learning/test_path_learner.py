@@ -102,12 +102,12 @@ def test_rough_weights_come_first_and_those_of_all_samples_later():
     values = {"basis_degree": 3, "sample_count": 256, "preview_distance": 1.0}
     learner = learner_of(PATHS["circle"], **values, samples_per_step=32)
     counting = learner._model = CountingModel(learner._model)
-    initial = learner.local(np.asarray(3.0)).weights.critic
+    initial = learner.local(np.asarray(3.0)).critic
     sweeps = [1, 2, 4]  # knots, until the preview of five is reached
     for _ in range(sum(sweeps)):
         learner.learn(at(3.0), 0.01)
     assert counting.parts == [(0, 32)] * sum(sweeps)
-    assert learner.local(np.asarray(3.0)).weights.critic.tolist() != initial.tolist()
+    assert learner.local(np.asarray(3.0)).critic.tolist() != initial.tolist()
     counting.parts = []
     for _ in range(16):
         learner.learn(at(3.0), 0.01)
@@ -116,13 +116,13 @@ def test_rough_weights_come_first_and_those_of_all_samples_later():
 
 def test_every_sample_counts_once_before_a_knot_has_new_weights():
     learner = learner_of(PATHS["line"], **{**SMALL, "samples_per_step": 10})
-    first = learner.local(np.asarray(5.0)).weights.critic
+    first = learner.local(np.asarray(5.0)).critic
     for _ in range(6):
         learner.learn(at(5.0), 0.01)
-        assert learner.local(np.asarray(5.0)).weights.critic.tolist() == first.tolist()
+        assert learner.local(np.asarray(5.0)).critic.tolist() == first.tolist()
     for _ in range(20):
         learner.learn(at(5.0), 0.01)
-    assert learner.local(np.asarray(5.0)).weights.critic.tolist() != first.tolist()
+    assert learner.local(np.asarray(5.0)).critic.tolist() != first.tolist()
 
 
 @pytest.mark.parametrize("at_once", [13, 64, 4096])
@@ -132,7 +132,7 @@ def test_how_many_samples_a_step_works_off_does_not_change_what_is_learned(at_on
         learner = learner_of(PATHS["circle"], **{**SMALL, "samples_per_step": samples_per_step})
         for _ in range(30 * 12 * max(1, math.ceil(64 / samples_per_step))):
             learner.learn(at(3.0), 0.01)
-        found.append(learner.local(np.asarray(3.0)).weights)
+        found.append(learner.local(np.asarray(3.0)))
     np.testing.assert_allclose(found[0].critic, found[1].critic, atol=1e-6)
     np.testing.assert_allclose(found[0].actor, found[1].actor, atol=1e-6)
 
@@ -169,7 +169,7 @@ def test_a_command_is_that_of_the_weights_that_are_published_with_it(printed, ex
 def test_on_a_straight_line_the_quadratic_part_is_the_riccati_solution():
     learner = learner_of(PATHS["line"], **UNLIMITED)
     assert learner.settle(at(5.0, 20.0))
-    found = learner.local(np.asarray(12.34)).weights.critic[:6]
+    found = learner.local(np.asarray(12.34)).critic[:6]
     expected = riccati_weights(PATHS["line"], 12.34, **UNLIMITED)[:6]
     np.testing.assert_allclose(found, expected, rtol=0.01, atol=0.01 * expected.max())
 
@@ -179,7 +179,7 @@ def test_on_a_circle_the_quadratic_part_is_near_the_riccati_solution(curvature):
     path = circle(curvature)
     learner = learner_of(path, **UNLIMITED)
     assert learner.settle(at(0.0, 20.0))
-    found = learner.local(np.asarray(1.0)).weights.critic[:6]
+    found = learner.local(np.asarray(1.0)).critic[:6]
     expected = riccati_weights(path, 1.0, **UNLIMITED)[:6]
     np.testing.assert_allclose(found, expected, atol=0.02 * expected.max())
 
@@ -205,7 +205,7 @@ def test_learning_on_the_way_ends_where_settling_does(name):
     last = driven(online, 12.0, (-0.3, 0.4, 0.5), 300)[-1]
     settled = learner_of(path)
     assert settled.settle(at(last.arc_length, 5.0))
-    expected = settled.local(last.arc_length).weights.critic
+    expected = settled.local(last.arc_length).critic
     scale = np.abs(expected).max()
     np.testing.assert_allclose(last.weights.critic, expected, atol=0.02 * scale)
     np.testing.assert_allclose(last.weights.actor, expected, atol=0.02 * scale)
@@ -214,12 +214,12 @@ def test_learning_on_the_way_ends_where_settling_does(name):
 def test_a_gradient_critic_goes_where_least_squares_are():
     exact = learner_of(PATHS["circle"])
     exact.settle(at(2.0, 5.0))
-    target = exact.local(np.asarray(2.0)).weights.critic
+    target = exact.local(np.asarray(2.0)).critic
     misses = []
     for gain in (0.1, 10.0, 1e3):
         learner = learner_of(PATHS["circle"], critic="gradient", critic_gain_sampled=gain)
         learner.settle(at(2.0, 5.0))
-        misses.append(np.linalg.norm(learner.local(np.asarray(2.0)).weights.critic - target))
+        misses.append(np.linalg.norm(learner.local(np.asarray(2.0)).critic - target))
     assert misses[0] > 3.0 * misses[1] > 9.0 * misses[2]
     assert misses[2] < 1e-3 * np.linalg.norm(target)
 
@@ -228,11 +228,11 @@ def test_a_gradient_critic_comes_nearer_with_every_sweep():
     values = {**SMALL, "critic": "gradient", "critic_gain_sampled": 20.0}
     exact = learner_of(PATHS["circle"], **SMALL)
     exact.settle(at(2.0, 5.0))
-    target = exact.local(np.asarray(2.0)).weights.critic
+    target = exact.local(np.asarray(2.0)).critic
     learner = learner_of(PATHS["circle"], **values)
     misses = []
     for _ in range(5):
-        misses.append(np.linalg.norm(learner.local(np.asarray(2.0)).weights.critic - target))
+        misses.append(np.linalg.norm(learner.local(np.asarray(2.0)).critic - target))
         for _ in range(400):
             learner.learn(at(2.0), 0.01)
     assert misses[:3] == sorted(misses[:3], reverse=True)
@@ -247,13 +247,13 @@ def test_weights_are_linear_between_knots_and_their_slope_says_so():
     learner.settle(at(25.0, 5.0))
     spacing = PATHS["figure eight"].length / math.ceil(PATHS["figure eight"].length / 0.2)
     knots = 130 * spacing + np.array([0.0, spacing])
-    ends = learner.local(knots + 1e-12).weights
+    ends = learner.local(knots + 1e-12)
     for share in (0.1, 0.5, 0.95):
         found = learner.local(np.asarray(knots[0] + share * spacing))
         for name in ("critic", "actor"):
             first, second = getattr(ends, name)
             expected = (1.0 - share) * first + share * second
-            np.testing.assert_allclose(getattr(found.weights, name), expected, atol=1e-9)
+            np.testing.assert_allclose(getattr(found, name), expected, atol=1e-9)
         np.testing.assert_allclose(found.slope, (ends.critic[1] - ends.critic[0]) / spacing)
         assert np.abs(found.slope).max() > 0.0
 
@@ -280,11 +280,11 @@ def test_robots_at_different_places_have_the_weights_of_their_places(shape):
     learner = learner_of(PATHS["figure eight"], shape=shape, **SMALL)
     for _ in range(1000):
         learner.learn(at(places), 0.01)
-    together = learner.local(places).weights
+    together = learner.local(places)
     for index in np.ndindex(2, 2):
         single = learner_of(PATHS["figure eight"], **SMALL)
         single.settle(at(places[index], 5.0))
-        expected = single.local(np.asarray(places[index])).weights.critic
+        expected = single.local(np.asarray(places[index])).critic
         scale = np.abs(expected).max()
         np.testing.assert_allclose(together.critic[index], expected, atol=0.01 * scale)
         np.testing.assert_allclose(together.actor[index], expected, atol=0.01 * scale)
@@ -299,8 +299,8 @@ def test_on_a_closed_path_every_lap_has_the_same_weights(name):
         here = learner.local(np.asarray(place))
         for laps in (-2, 1, 30):
             there = learner.local(np.asarray(place + laps * path.length))
-            np.testing.assert_allclose(there.weights.critic, here.weights.critic, atol=1e-9)
-            np.testing.assert_allclose(there.weights.actor, here.weights.actor, atol=1e-9)
+            np.testing.assert_allclose(there.critic, here.critic, atol=1e-9)
+            np.testing.assert_allclose(there.actor, here.actor, atol=1e-9)
 
 
 def test_beyond_the_ends_of_an_open_path_it_goes_on_straight():
@@ -309,7 +309,7 @@ def test_beyond_the_ends_of_an_open_path_it_goes_on_straight():
     for place in (-1e3, -1.0, path.length - 0.3, path.length + 1.0, 1e6):
         learner.reset()
         assert learner.settle(at(place, 4.0))
-        found = learner.local(np.asarray(place)).weights.critic[:6]
+        found = learner.local(np.asarray(place)).critic[:6]
         expected = riccati_weights(path, 5.0, **UNLIMITED)[:6]
         np.testing.assert_allclose(found, expected, rtol=0.01, atol=0.01 * expected.max())
         for _ in range(50):
@@ -347,7 +347,7 @@ def test_a_whole_lap_of_a_circle_is_learned_alike():
     path = circle(1.0)
     learner = learner_of(path, **SMALL)
     assert learner.settle(at(0.0, 21.0))
-    critic = learner.local(np.linspace(0.0, path.length, 50)).weights.critic
+    critic = learner.local(np.linspace(0.0, path.length, 50)).critic
     np.testing.assert_allclose(
         critic, critic[:1] + np.zeros((50, 1)), atol=0.02
     )  # the preview ends
@@ -362,7 +362,7 @@ def test_it_starts_from_the_initial_weights_of_the_settings(kind, name):
     lists = {"initial_critic_weights": LISTED, "initial_actor_weights": LISTED[::-1]}
     learner = learner_of(PATHS[name], **SMALL, **lists, initial_weights=kind)
     for place in (0.0, 3.3, 77.7):
-        found = learner.local(np.asarray(place)).weights
+        found = learner.local(np.asarray(place))
         if kind == "listed":
             assert found.critic.tolist() == pytest.approx([*LISTED, *[0.0] * 10])
             assert found.actor.tolist() == pytest.approx([*LISTED[::-1], *[0.0] * 10])
@@ -374,14 +374,14 @@ def test_it_starts_from_the_initial_weights_of_the_settings(kind, name):
 
 def test_a_reset_returns_to_the_initial_weights_and_of_single_robots_to_nothing():
     learner = learner_of(PATHS["figure eight"], **SMALL)
-    first = learner.local(np.asarray(30.0)).weights.critic
+    first = learner.local(np.asarray(30.0)).critic
     learner.settle(at(29.0, 3.0))
-    learned = learner.local(np.asarray(30.0)).weights.critic
+    learned = learner.local(np.asarray(30.0)).critic
     assert learned.tolist() != first.tolist()
     learner.reset(np.array([True, False]))  # robots share the weights
-    assert learner.local(np.asarray(30.0)).weights.critic.tolist() == learned.tolist()
+    assert learner.local(np.asarray(30.0)).critic.tolist() == learned.tolist()
     learner.reset()
-    assert learner.local(np.asarray(30.0)).weights.critic.tolist() == first.tolist()
+    assert learner.local(np.asarray(30.0)).critic.tolist() == first.tolist()
     assert learner.problem == ""
 
 
@@ -410,8 +410,8 @@ def test_a_learner_that_has_learned_all_ahead_rests_until_the_robot_has_come_on(
     settled.settle(at(14.5, 0.0))
     found, expected = learner.local(np.asarray(14.5)), settled.local(np.asarray(14.5))
     # Rests change nothing: what is learned before one is what would be learned in its place.
-    np.testing.assert_allclose(found.weights.critic, expected.weights.critic, rtol=1e-9)
-    np.testing.assert_allclose(found.weights.actor, expected.weights.critic, rtol=1e-9)
+    np.testing.assert_allclose(found.critic, expected.critic, rtol=1e-9)
+    np.testing.assert_allclose(found.actor, expected.critic, rtol=1e-9)
     for place in (15.4, 14.0):  # more than three knots on; back, behind where it began
         learner.learn(at(place), 0.01)
         assert len(model.parts) > done
@@ -433,8 +433,8 @@ def test_lost_weights_end_the_rest():
     learner = learner_of(REST_PATHS["circle"], **SMALL)
     learner._model = model = CountingModel(learner._model)
     steps_until_rest(learner, model, 1.0)
-    expected = learner.local(np.asarray(1.0)).weights.critic.copy()
+    expected = learner.local(np.asarray(1.0)).critic.copy()
     learner._knots.critic[:] = np.nan
     for _ in range(100):
         learner.learn(at(1.0), 0.01)
-    np.testing.assert_allclose(learner.local(np.asarray(1.0)).weights.critic, expected, rtol=1e-9)
+    np.testing.assert_allclose(learner.local(np.asarray(1.0)).critic, expected, rtol=1e-9)

@@ -43,7 +43,7 @@ def assert_same_weights(fleet, alone, places):
     for index, learner in enumerate(alone):
         single = learner.local(places[index])
         for name in ("critic", "actor"):
-            found, expected = getattr(together.weights, name)[index], getattr(single.weights, name)
+            found, expected = getattr(together, name)[index], getattr(single, name)
             np.testing.assert_array_equal(found, expected)
         np.testing.assert_array_equal(together.slope[index], single.slope)
 
@@ -160,7 +160,7 @@ def test_a_robot_whose_weights_break_learns_anew_and_the_others_go_on(kind):
                 getattr(learner._knots, kind)[:] = np.nan
             getattr(fleet._knots, kind)[::20] = np.nan  # of the first robot
         learn(fleet, alone, places, step)
-        assert np.isfinite(fleet.local(places).weights.actor).all()
+        assert np.isfinite(fleet.local(places).actor).all()
     assert_same(fleet, alone, places)
     assert fleet.problem == alone[0].problem
 

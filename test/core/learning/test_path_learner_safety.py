@@ -186,7 +186,7 @@ def test_without_the_cause_learning_goes_on(cause):
         drive.follower._learner._knots._riccati,  # of the same problem
     )
     assert settled.settle(at(drive.follower.arc_length, 2.0))
-    expected = settled.local(drive.follower.arc_length).weights.critic
+    expected = settled.local(drive.follower.arc_length).critic
     scale = np.abs(expected).max()
     np.testing.assert_allclose(drive.follower.weights.critic, expected, atol=0.02 * scale)
 
@@ -233,7 +233,7 @@ def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
     drive.steps(340)
     settled = PathLearner(follower.settings, EIGHT, follower._learner._knots._riccati)
     assert settled.settle(at(follower.arc_length, 2.0))
-    target = settled.local(follower.arc_length).weights.critic
+    target = settled.local(follower.arc_length).critic
     np.testing.assert_allclose(follower.weights.actor, target, atol=0.03 * np.abs(target).max())
 
 
@@ -255,9 +255,9 @@ def test_only_the_robot_whose_weights_are_not_finite_has_the_riccati_policy():
     knot = int(40.0 / (EIGHT.length / 655))
     learner._knots.actor[2 * knot + 1] = math.nan  # of the second robot
     after = learner.local(places)
-    assert after.weights.actor[0].tolist() == before.weights.actor[0].tolist()
+    assert after.actor[0].tolist() == before.actor[0].tolist()
     matrix = schedule.matrix(EIGHT.curvature(40.0), tuning.target.desired_speed)
     expected = tuning.learning.value_basis.quadratic_weights(matrix)
-    np.testing.assert_allclose(after.weights.actor[1], expected, atol=1e-12)
+    np.testing.assert_allclose(after.actor[1], expected, atol=1e-12)
     assert after.slope[1].tolist() == [0.0] * len(expected)
     assert after.slope[0].tolist() == before.slope[0].tolist()

@@ -140,9 +140,7 @@ def test_a_process_that_is_told_to_end_ends_the_thread_that_asks(capfd, monkeypa
         ended.append(True)
 
     with FittingProcess() as fitting:
-        os.kill(
-            fitting._process.pid, signal.SIGSTOP
-        )  # it answers when it is told
+        os.kill(fitting._process.pid, signal.SIGSTOP)  # it answers when it is told
         asking = threading.Thread(target=ask)
         asking.start()
         assert waits.wait(30.0)
