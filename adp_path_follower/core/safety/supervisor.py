@@ -59,30 +59,6 @@ def deviation(error: FloatArray, controller: ControllerSettings) -> str:
     return ""
 
 
-class ProgressCheck:
-    """Remembers where the robot was last seen to have made progress."""
-
-    def __init__(self) -> None:
-        self._place: tuple[float, float] | None = None
-        self._since = 0.0
-
-    def problem(self, now: float, pose: FloatArray | None, settings: NavigationSettings) -> str:
-        """Return how a robot at a pose (3,) and a time [s] lacks progress, empty if it does not.
-
-        Without a pose the robot is not to drive, and has all the time anew.
-        """
-        if pose is None:
-            self._place = None
-            return ""
-        place = float(pose[0]), float(pose[1])
-        radius, allowance = settings.required_movement_radius, settings.movement_time_allowance
-        if self._place is None or math.dist(place, self._place) >= radius or now < self._since:
-            self._place, self._since = place, now
-        if now - self._since <= allowance:
-            return ""
-        return f"the robot moved less than {radius:g} m in {allowance:g} s"
-
-
 class Supervisor:
     """Decide from the inputs' freshness and soundness whether the robot may move.
 
@@ -108,6 +84,8 @@ class Supervisor:
         self._sound_since: float | None = None  # after wrong odometry
         self._has_path = False
         self._stopped = False
+        self._place: tuple[float, float] | None = None  # where it last made progress, and when
+        self._since = 0.0
 
     def renewed(self) -> Supervisor:
         """Return a supervisor without path and odometry that keeps the causes to `resume`."""
@@ -128,6 +106,23 @@ class Supervisor:
                 self._sound_since = now
             if now - self._sound_since >= _SETTLED:
                 self._odometry_problem = ""
+
+    def look_for_progress(
+        self, now: float, pose: FloatArray | None, settings: NavigationSettings
+    ) -> None:
+        """Note whether a robot that follows a path, at a pose (3,) and a time [s], gets anywhere.
+
+        Without a pose the robot is not to drive, and has all the time anew.
+        """
+        if pose is None:
+            self._place = None
+            return
+        place = float(pose[0]), float(pose[1])
+        radius, allowance = settings.required_movement_radius, settings.movement_time_allowance
+        if self._place is None or math.dist(place, self._place) >= radius or now < self._since:
+            self._place, self._since = place, now
+        if now - self._since > allowance:
+            self.goal_problem = f"the robot moved less than {radius:g} m in {allowance:g} s"
 
     def path_received(self) -> None:
         """Note a new path."""

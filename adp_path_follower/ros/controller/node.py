@@ -14,13 +14,7 @@ from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.odometry_check import Measurement, OdometryProblem, stamp_problem
-from adp_path_follower.core.safety.supervisor import (
-    ProgressCheck,
-    State,
-    Status,
-    Supervisor,
-    deviation,
-)
+from adp_path_follower.core.safety.supervisor import State, Status, Supervisor, deviation
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.messages.configuration import NO_STEP, configuration_text
 from adp_path_follower.ros.controller.commands import WATCH_PERIOD, Commands, Watchdog
@@ -83,7 +77,6 @@ class PathFollowerNode(Ending, LifecycleNode):
         self.driver = Driver(settings, self._weights.saved, log.warning, tell_start=told)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
-        self._progress = ProgressCheck()
         self._clock_time = 0
         self.status = Status(State.INACTIVE)
         self._status_log = StatusLog(log)
@@ -347,9 +340,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._clock_time = clock_time
         self._supervisor.transform_problem = parts.path.missing_frame()
         pose = parts.odometry.pose if self.status.state is State.FOLLOWING else None
-        stuck = self._progress.problem(1e-9 * clock_time, pose, self.settings.navigation)
-        if stuck:
-            self._supervisor.goal_problem = stuck
+        self._supervisor.look_for_progress(1e-9 * clock_time, pose, self.settings.navigation)
         following = self._update_status().state is State.FOLLOWING
         parts.action.look()
         if self._supervisor.active and not following:
