@@ -7,7 +7,6 @@ import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray, Number, clamped
-from adp_path_follower.core.learning.update_laws import surely_finite
 from adp_path_follower.core.learning.weights import (
     LearnedWeights,
     Weights,
@@ -84,7 +83,7 @@ class KnotWeights:
         if new.any():
             places, first = np.unique(slots[new], return_index=True)
             numbers = np.broadcast_to(number, slots.shape)[new][first]
-            curvature, speed = self.curvature(numbers), self.speed(numbers)
+            curvature, speed = self.about(numbers)
             weights = initial_weights(self._learning, self._riccati, curvature, speed)
             self.critic[places], self.actor[places] = weights.critic, weights.actor
             self.curvatures[places], self.speeds[places] = curvature, speed
@@ -135,7 +134,7 @@ class KnotWeights:
         actor = actor + share * (actor_ahead - actor)
         critic = critic + share * critic_step
         slope = critic_step / self.spacing
-        if not surely_finite(actor, critic):
+        if not math.isfinite(float(np.vdot(actor, critic))):  # perhaps a weight is not
             sound = self._sound(critic, actor)[..., None]
             speed = self._profile.model_speed(arc_length)
             safe = self.safe(self._path.curvature(arc_length), speed)
@@ -154,16 +153,11 @@ class KnotWeights:
             self._pair = (knot, slots, (int(self._held[first]), int(self._held[second])))
         return slots
 
-    def curvature(self, knots: np.ndarray) -> FloatArray:
-        """Return the mean curvature [1/m] about each knot, shape (K,)."""
-        arc_length = (knots[:, None] + _NODES) * self.spacing
-        return np.asarray(self._path.curvature(arc_length).mean(axis=1))
-
-    def speed(self, knots: np.ndarray) -> FloatArray:
-        """Return the mean speed [m/s] about each knot, as models take it, shape (K,)."""
+    def about(self, knots: np.ndarray) -> tuple[FloatArray, FloatArray]:
+        """Return mean curvature [1/m] and speed of models [m/s] about each knot, (K,) each."""
         arc_length = (knots[:, None] + _NODES) * self.spacing
         speed = np.broadcast_to(self._profile.model_speed(arc_length), arc_length.shape)
-        return np.asarray(speed.mean(axis=1))
+        return self._path.curvature(arc_length).mean(axis=1), speed.mean(axis=1)
 
     def safe(self, curvature: FloatArray, speed: Number) -> FloatArray:
         """Return the Riccati solution's weights at curvatures and speeds (...), shape (..., L)."""
@@ -172,8 +166,7 @@ class KnotWeights:
 
     def end(self, knot: int) -> FloatArray:
         """Return Wc ahead of a sweep from a knot: the Riccati solution, shape (L,)."""
-        knots = np.array([knot])
-        return np.asarray(self.safe(self.curvature(knots), self.speed(knots))[0])
+        return np.asarray(self.safe(*self.about(np.array([knot])))[0])
 
     def learned(self, reach: int) -> LearnedWeights:
         """Return the first robot's weights at the knots where something was learned.
@@ -210,11 +203,12 @@ class KnotWeights:
                 f"they were learned along {kinds[learned.closed]} path of {learned.length:.2f} m, "
                 f"and this is {kinds[path.closed]} one of {path.length:.2f} m"
             )
+        curvature, speed = self.about(knots)
         if not np.allclose(
-            self.curvature(knots), learned.curvature, rtol=_SAME_CURVATURE, atol=_SAME_CURVATURE
+            curvature, learned.curvature, rtol=_SAME_CURVATURE, atol=_SAME_CURVATURE
         ):
             return "they were learned along a path that bends elsewhere than this one"
-        if not np.allclose(self.speed(knots), learned.speed, rtol=_SAME_SPEED):
+        if not np.allclose(speed, learned.speed, rtol=_SAME_SPEED):
             return "they were learned at other speeds along the path than its profile has now"
         if len(np.unique(knots % self.capacity)) < len(knots):
             return "they hold more places of the path than are remembered"

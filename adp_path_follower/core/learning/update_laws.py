@@ -65,11 +65,6 @@ def follow(
     return bound_norm(actor_weights + project(step, actor_weights, bound), bound)
 
 
-def surely_finite(actor_weights: FloatArray, critic_weights: FloatArray) -> bool:
-    """Return True only if all weights of two arrays (..., L) are finite: one product tells."""
-    return math.isfinite(float(np.vdot(actor_weights, critic_weights)))
-
-
 def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:
     """Return how far W' = -(A W + b) moves W down in one step [s], shape (..., L).
 

@@ -19,8 +19,7 @@ from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
 from adp_path_follower.core.path.progress import Place
 from adp_path_follower.core.safety.supervisor import Kind, State, Status
 from adp_path_follower.core.settings.navigation import NavigationSettings
-from adp_path_follower.ros.controller.path_input import PathInput
-from adp_path_follower.ros.controller.path_worker import PathAnswer
+from adp_path_follower.ros.controller.path_input import PathAnswer, PathInput
 from adp_path_follower.ros.runtime.conversions import pose_message
 from adp_path_follower.ros.runtime.qos import LATCHED
 

@@ -22,9 +22,8 @@ from adp_path_follower.ros.controller.far_values import FarValues
 from adp_path_follower.ros.controller.follow_path_action import FollowPathAction, Site
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
 from adp_path_follower.ros.controller.parts import ControllerParts, heard_topics, start_teller
-from adp_path_follower.ros.controller.path_input import PathInput
+from adp_path_follower.ros.controller.path_input import PathAnswer, PathInput
 from adp_path_follower.ros.controller.path_process import Fit, route_of_message
-from adp_path_follower.ros.controller.path_worker import PathAnswer
 from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
 from adp_path_follower.ros.controller.telemetry import StatusLog, Telemetry
 from adp_path_follower.ros.controller.weights import WeightsFiles

@@ -21,8 +21,8 @@ from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.messages.cdr import CdrError
 from adp_path_follower.messages.raw import is_empty, read_path
+from adp_path_follower.ros.controller.path_input import PathIntake, PathRequest, answer
 from adp_path_follower.ros.controller.path_process import route_of_message
-from adp_path_follower.ros.controller.path_worker import PathIntake, PathRequest, answer
 from adp_path_follower.ros.runtime.conversions import quaternion_of
 from adp_path_follower.study.replay.replay import replay
 from live_nodes import is_zero

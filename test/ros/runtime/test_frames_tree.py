@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from adp_path_follower.ros.runtime.frames import FrameError, Frames
+from adp_path_follower.ros.runtime.path_frame import FrameError, Frames
 from bag_messages import TYPES, transform
 
 NAMES = [f"frame_{number}" for number in range(12)]
