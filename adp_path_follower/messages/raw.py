@@ -176,7 +176,7 @@ def _numbers(raw: bytes, at: int, count: int, order: str) -> FloatArray:
         raise CdrError("a sequence is longer than its message")
     if not count:
         return np.zeros((0, 7))
-    places = _even_places(raw, at, count, order)
+    places = _even_places(raw, at, count, order) if count > 1 else None
     if places is None:
         places = np.empty(count, dtype=np.int64)
         for number in range(count):
@@ -184,12 +184,8 @@ def _numbers(raw: bytes, at: int, count: int, order: str) -> FloatArray:
             places[number] = aligned(end, 8)
             at = int(places[number]) + _POSE
     check_end(raw, int(places[-1]) + _POSE)
-    step = int(places[1] - places[0]) if count > 1 else _POSE
-    if count == 1 or (np.diff(places) == step).all():
-        found = np.ndarray((count, 7), f"{order}f8", raw, int(places[0]), (step, 8))
-    else:
-        found = np.array([np.frombuffer(raw, f"{order}f8", 7, int(place)) for place in places])
-    return found.astype(float)
+    numbers = np.frombuffer(raw, f"{order}f8", (len(raw) - HEADER) // 8, HEADER)
+    return numbers[(places[:, None] - HEADER) // 8 + np.arange(7)].astype(float)
 
 
 def _even_places(raw: bytes, at: int, count: int, order: str) -> np.ndarray | None:
@@ -199,8 +195,8 @@ def _even_places(raw: bytes, at: int, count: int, order: str) -> np.ndarray | No
     place = aligned(end, 8)
     # A pose ends at a multiple of 8, so all that follow lie like the second.
     following = place + _POSE + STAMP
-    if count == 1 or following + 4 > len(raw):
-        return np.array([place]) if count == 1 else None
+    if following + 4 > len(raw):
+        return None
     _, end = text_at(raw, following, order)
     step = aligned(end, 8) - place
     if place + (count - 1) * step + _POSE > len(raw):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -37,12 +38,7 @@ class NormalEquations:
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
         """Return the sums over the samples of both."""
-        return NormalEquations(
-            self.matrix + other.matrix,
-            self.vector + other.vector,
-            self.offset + other.offset,
-            self.running_cost + other.running_cost,
-        )
+        return NormalEquations(*map(operator.add, vars(self).values(), vars(other).values()))
 
 
 @dataclass(frozen=True)

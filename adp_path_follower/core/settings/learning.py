@@ -27,9 +27,7 @@ OWN_FAR_POLICIES: Registry[Callable[[Any], Any]] = Registry("far policy", WIDE_R
 class LearningSettings:
     """Learning."""
 
-    learning: bool = setting(
-        True, "Learn while driving; false keeps the weights as they are.", symbol=""
-    )
+    learning: bool = setting(True, "Learn while driving; false keeps the weights as they are.")
     basis: str = setting(
         "polynomial",
         "Basis of the value function: all monomials of the error up to basis_degree, the paper's "

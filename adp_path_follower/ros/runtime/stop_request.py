@@ -17,16 +17,6 @@ def ending_signals() -> tuple[signal.Signals, ...]:
     )
 
 
-def watched_parent() -> int | None:
-    """Return the process whose death ends the node, None if the node was started to outlive it.
-
-    nohup (ignores SIGHUP), setsid and systemd (make sessions) do so; `ros2 launch` leaves its
-    nodes.
-    """
-    detached = _HANG_UP_IGNORED or os.getsid(0) == os.getpid() or _PARENT <= 1
-    return None if detached else _PARENT
-
-
 class StopRequest:
     """Remember signals, and notice the death of the parent.
 
@@ -36,7 +26,9 @@ class StopRequest:
 
     def __init__(self) -> None:
         self._signalled = False
-        self._parent = watched_parent()
+        # nohup (ignores SIGHUP), setsid and systemd (make sessions) start nodes that outlive their
+        # parent; `ros2 launch` leaves its nodes.
+        self._outlives = _HANG_UP_IGNORED or os.getsid(0) == os.getpid() or _PARENT <= 1
         for number in ending_signals():
             signal.signal(number, self._receive)
 
@@ -48,7 +40,7 @@ class StopRequest:
     @property
     def orphaned(self) -> bool:
         """Return whether the process that started the node has ended."""
-        return self._parent is not None and os.getppid() != self._parent
+        return not self._outlives and os.getppid() != _PARENT
 
     def ignore_more(self) -> None:
         """Ignore signals from now on: one while Python finalises would change the exit code."""
