@@ -78,10 +78,8 @@ def read_text(file: FilePath) -> str:
 
 
 def write_whole(file: FilePath, content: bytes) -> None:
-    """Write a whole file, or none, whatever happens; OSError, or ValueError for a wrong name.
-
-    It is written first under another name in the same folder, and then renamed.
-    """
+    """Write a whole file, or none, whatever happens; OSError, or ValueError for a wrong name."""
+    # First under another name in the same folder, which is then renamed.
     unfinished = file.with_name(f".{file.name}.{os.getpid()}{UNFINISHED}")
     try:
         with unfinished.open("wb") as output:

@@ -169,10 +169,7 @@ class KnotWeights:
         return np.asarray(self.safe(*self.about(np.array([knot])))[0])
 
     def learned(self, reach: int) -> LearnedWeights:
-        """Return the first robot's weights at the knots where something was learned.
-
-        Its next sweep reaches so many knots ahead.
-        """
+        """Return what the first robot, whose next sweep has that reach [knots], has learned."""
         slots = np.flatnonzero(self._held != _EMPTY)
         slots = slots[slots % len(self._robots) == 0]
         slots = slots[self._sound(self.critic[slots], self.actor[slots])]

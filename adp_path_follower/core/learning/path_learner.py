@@ -151,10 +151,7 @@ class PathLearner:
         return behind.min(axis=0), behind.max(axis=0) + 1
 
     def _begin(self, near: np.ndarray, ahead: np.ndarray) -> None:
-        """Begin sweeps down to knots `near` (B,) for robots that are neither on one nor resting.
-
-        Their reach counts from the knots `ahead` (B,).
-        """
+        """Begin sweeps of idle robots, from their reach beyond `ahead` (B,) down to `near` (B,)."""
         resting = (near >= self._learned_from) & (near < self._learned_from + self._rest)
         idle = np.flatnonzero(~(self._busy | resting))
         if not len(idle):

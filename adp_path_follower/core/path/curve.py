@@ -96,14 +96,9 @@ class Path:
     def from_points(cls, points: ArrayLike, closed: bool | None = None) -> Path:
         """Return the path through points, shape (N, 2) [m]; a C2 spline over their chord lengths.
 
-        Args:
-            points: Positions in order; neighbours that coincide count once.
-            closed: Whether the last point joins the first; by default if they coincide (1 mm).
-
-        Raises:
-            PathError: Fewer than two distinct points, more than a million, a value that is not
-                finite, or points that turn back on themselves.
-
+        Neighbours that coincide count once. `closed` says whether the last point joins the first,
+        None that coinciding ends (1 mm) do. Raises PathError for fewer than two distinct points,
+        more than a million, a value that is not finite, or points that turn back on themselves.
         """
         distinct, closed = joined(distinct_points(points)[0], closed)
         return cls.along(*chord_spline(distinct, closed), closed)

@@ -226,10 +226,7 @@ def _moving_cost(moved: FloatArray, way: float, free: bool) -> FloatArray:
 def _between(
     path: Path, poses: FloatArray, anchors: _Anchors, places: FloatArray, away: FloatArray
 ) -> FloatArray:
-    """Return the nearest place [m] about the anchors' places for each pose, shape (N,).
-
-    The poses that lead the assignment are as far away [m] from the robot's, shape (N,).
-    """
+    """Return the nearest place [m] to each pose (N,) about its anchors', `away` [m] from it."""
     arc_length = np.empty(len(poses))
     stops = np.append(anchors.index[1:], len(poses))
     ahead, ways = np.append(places[1:], places[-1]), np.append(anchors.way[1:], 0.0)

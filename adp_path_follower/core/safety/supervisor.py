@@ -110,11 +110,8 @@ class Supervisor:
     def look_for_progress(
         self, now: float, pose: FloatArray | None, settings: NavigationSettings
     ) -> None:
-        """Note whether a robot that follows a path, at a pose (3,) and a time [s], gets anywhere.
-
-        Without a pose the robot is not to drive, and has all the time anew.
-        """
-        if pose is None:
+        """Note whether a robot on its way, at a pose (3,) and a time [s], gets anywhere."""
+        if pose is None:  # it is not to drive, and has all the time anew
             self._place = None
             return
         place = float(pose[0]), float(pose[1])

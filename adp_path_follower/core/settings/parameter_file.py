@@ -28,9 +28,8 @@ def load_settings(
     """Return a tree of settings from a parameter file and ``NAME=VALUE`` assignments, which win.
 
     Without a file the defaults count, of a file the node's sections; `complete` adds to the values
-    of both. Raises FileError for a file
-    that cannot be read or has none for this node, SettingsError for a setting that is unknown, of
-    the wrong type or out of range.
+    of both. Raises FileError for a file that cannot be read or has none for this node,
+    SettingsError for a setting that is unknown, of the wrong type or out of range.
     """
     given = read_parameters(file, node) if file is not None else {}
     for assignment in assignments:

@@ -45,10 +45,7 @@ class RecorderNode(Ending, Node):
     """Writes messages as they were serialised, without decoding."""
 
     def __init__(self) -> None:
-        """Create the bag and look for the topics.
-
-        Raises SettingsError for a wrong setting, FileError for a bag that exists or cannot be made.
-        """
+        """Create the bag, and look for topics; SettingsError, or FileError without a new bag."""
         super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         self._last_message = 0.0  # steady [s]
         self._silent: set[int] = set()  # topics without a message so far

@@ -39,10 +39,7 @@ def quaternion_of(yaw: float) -> Quaternion:
 
 
 def measurement_of(raw: bytes) -> Measurement:
-    """Return the content of serialised odometry.
-
-    Raises MessageError if it is none, a value is not finite, or the quaternion has zero norm.
-    """
+    """Return the content of serialised odometry; MessageError if a robot cannot have it."""
     try:
         found = read_odometry(raw)
     except CdrError as error:
