@@ -1,6 +1,7 @@
 """The controller's debug topics and diagnostics: published only while somebody listens."""
 
 import math
+import operator
 import time as steady
 from collections.abc import Callable
 from typing import Any
@@ -43,8 +44,16 @@ _LISTENERS_PERIOD = 0.1  # [s], steady: how often it is asked who listens
 _MARKER_PERIOD = 0.1  # [s], steady: of the virtual target
 _MARKER_POINTS = 2000  # of a long path: each takes a microsecond or two of the control thread
 
-# From a step's time [ns], the frame of poses, what the step found, and J so far.
-MakeMessage = Callable[[int, str, FollowerOutput, float], Any]
+# Debug topic -> its type, and the part of a step's output that it tells; the cost J is none.
+_STEP_TOPICS: dict[str, tuple[type, str]] = {
+    "~/target": (PoseStamped, "target_pose"),
+    "~/tracking_error": (Vector3Stamped, "error"),
+    "~/critic_weights": (Float64MultiArray, "weights.critic"),
+    "~/actor_weights": (Float64MultiArray, "weights.actor"),
+    "~/bellman_error": (Float64, "bellman_error"),
+    "~/excitation": (Float64, "excitation"),
+    "~/cost": (Float64, ""),
+}
 
 _LEVELS = {
     State.INACTIVE: DiagnosticStatus.WARN,
@@ -87,35 +96,6 @@ def _quiet_publisher(node: Node, kind: type, topic: str, qos: QoSProfile | int) 
     return node.create_publisher(kind, topic, qos, event_callbacks=silent)
 
 
-def _step_messages(labels: tuple[str, ...]) -> dict[str, tuple[type, MakeMessage]]:
-    """Return for each debug topic its type, and what makes its message."""
-
-    def scalar(value: Any) -> Float64:
-        return Float64(data=float(value))
-
-    return {
-        "~/target": (
-            PoseStamped,
-            lambda time, frame, out, _: pose_stamped(time, frame, out.target_pose),
-        ),
-        "~/tracking_error": (
-            Vector3Stamped,
-            lambda time, frame, out, _: vector_stamped(time, frame, out.error),
-        ),
-        "~/critic_weights": (
-            Float64MultiArray,
-            lambda time, frame, out, _: array_message(labels, out.weights.critic),
-        ),
-        "~/actor_weights": (
-            Float64MultiArray,
-            lambda time, frame, out, _: array_message(labels, out.weights.actor),
-        ),
-        "~/bellman_error": (Float64, lambda time, frame, out, _: scalar(out.bellman_error)),
-        "~/excitation": (Float64, lambda time, frame, out, _: scalar(out.excitation)),
-        "~/cost": (Float64, lambda time, frame, out, cost: scalar(cost)),
-    }
-
-
 class Telemetry:
     """Publishers of everything but the command."""
 
@@ -145,16 +125,17 @@ class Telemetry:
             _quiet_publisher(node, Vector3Stamped, topic, LOSSLESS)
             for topic in ("~/measured_pose", "~/measured_motion")
         ]
-        self._steps: list[tuple[Publisher, MakeMessage]] = [
-            (_quiet_publisher(node, kind, topic, LOSSLESS if lossless else EVERY_STEP), make)
-            for topic, (kind, make) in _step_messages(labels).items()
+        self._labels = labels
+        self._steps: list[tuple[Publisher, type, str]] = [
+            (_quiet_publisher(node, kind, topic, LOSSLESS if lossless else EVERY_STEP), kind, part)
+            for topic, (kind, part) in _STEP_TOPICS.items()
         ]
         self._heard = self._steps  # those of them that somebody listens to
 
     def destroy(self) -> None:
         """Destroy the publishers."""
         others = (self._robot, self._markers, self._configuration, self._diagnostics, self._status)
-        for publisher in (*others, *self._measured, *(publisher for publisher, _ in self._steps)):
+        for publisher in (*others, *self._measured, *(publisher for publisher, *_ in self._steps)):
             self._node.destroy_publisher(publisher)
 
     def step(
@@ -167,8 +148,19 @@ class Telemetry:
     ) -> None:
         """Publish a control step at a time [ns], with what it measured; cost is J so far."""
         self.measured(time, frame, measured)
-        for publisher, make in self._steps_to_tell(time):
-            publisher.publish(make(time, frame, output, cost))
+        for publisher, kind, part in self._steps_to_tell(time):
+            value = operator.attrgetter(part)(output) if part else cost
+            publisher.publish(self._message(kind, time, frame, value))
+
+    def _message(self, kind: type, time: int, frame: str, value: Any) -> Any:
+        """Return a value of a step at a time [ns] as a message of some kind."""
+        if kind is PoseStamped:
+            return pose_stamped(time, frame, value)
+        if kind is Vector3Stamped:
+            return vector_stamped(time, frame, value)
+        if kind is Float64MultiArray:
+            return array_message(self._labels, value)
+        return Float64(data=float(value))
 
     def measured(self, time: int, frame: str, values: tuple[FloatArray, FloatArray]) -> None:
         """Publish what a step at a time [ns] went by.
@@ -178,7 +170,7 @@ class Telemetry:
         for publisher, numbers in zip(self._measured, values, strict=True):
             publisher.publish(vector_stamped(time, frame, numbers))
 
-    def _steps_to_tell(self, time: int) -> list[tuple[Publisher, MakeMessage]]:
+    def _steps_to_tell(self, time: int) -> list[tuple[Publisher, type, str]]:
         """Return what to publish of a step at a time [ns]; to count subscribers is expensive."""
         if self._lossless and self._kept < LOSSLESS.depth:
             self._kept += 1
