@@ -123,14 +123,8 @@ class PathStateLearner:
             )
             return
         critic = least_squares(self.weights, self.sampled)
-        actor = follow(
-            self.weights.actor,
-            critic,
-            self._learning.actor_gain,
-            self._learning.actor_weight_bound,
-            dt,
-        )
-        self.weights = Weights(critic, actor)
+        gain, bound = self._learning.actor_gain, self._learning.actor_weight_bound
+        self.weights = Weights(critic, follow(self.weights.actor, critic, gain, bound, dt))
 
     def settle(self, observation: Observation) -> bool:
         """Learn with the robots at rest; return whether the weights settled."""

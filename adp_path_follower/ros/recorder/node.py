@@ -21,7 +21,6 @@ from adp_path_follower.bags.writer import BagExistsError, BagWriter, Limits, Unk
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import expanded
 from adp_path_follower.ros.recorder.settings import (
-    RUN_TOPICS,
     RecorderSettings,
     is_meant,
     provenance,
@@ -29,8 +28,6 @@ from adp_path_follower.ros.recorder.settings import (
 )
 from adp_path_follower.ros.runtime.parameters import declare_settings
 from adp_path_follower.ros.runtime.run import Ending, run_node
-
-__all__ = ["NODE_NAME", "RUN_TOPICS", "RecorderNode", "main"]
 
 NODE_NAME = "recorder"
 
