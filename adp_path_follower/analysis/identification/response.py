@@ -31,6 +31,7 @@ _RUN_IN = 2.0  # [s] after which it does not matter how a drive began
 _OUTLIER = 5.0  # standard deviations
 _LEAST = np.array([5e-4, 1e-3])  # [m/s, rad/s] of noise, so that a simulated robot has some
 _SAMPLING = 0.008  # [s] by which all times may be wrong, as firmware and recorder sample, too
+_PERIODS = 2.0  # of the odometry that a ramp lasts which is told
 _BLOCK = 1.0  # [s] whose errors hang together
 
 
@@ -65,7 +66,7 @@ class _Filter:
         """Return v or w of wheels without delay at the edges of the cells, shape (G + 1,)."""
         wanted = self._ramped(part, slowness)
         fade = math.exp(-_CELL / lag) if lag > 1e-6 else 0.0
-        return np.append(wanted[0], lfilter([1.0 - fade], [1.0, -fade], wanted))
+        return np.append(0.0, lfilter([1.0 - fade], [1.0, -fade], wanted))
 
     def at(self, answered: FloatArray, delay: float) -> FloatArray:
         """Return it at the stamps of the encoders, after a delay [s], shape (N,)."""
@@ -76,6 +77,15 @@ class _Filter:
         delay, lag_v, lag_w, slow_v, slow_w = values.tolist()
         answers = self.answered(0, lag_v, slow_v), self.answered(1, lag_w, slow_w)
         return np.column_stack([self.at(answer, delay) for answer in answers])
+
+    def ramps_last(self, values: FloatArray) -> float:
+        """Return how long the slower ramp is at work for the largest change [odometry periods]."""
+        period = float(np.median(np.diff(self._recording.time)))
+        behind = (
+            np.abs(self._mean[part] - self._ramped(part, values[3 + part])) for part in (0, 1)
+        )
+        times = [slow * away.max() for slow, away in zip(values[3:], behind, strict=True)]
+        return float(max(times)) / period
 
     def _ramped(self, part: int, slowness: float) -> FloatArray:
         if slowness < 1e-3:
@@ -116,9 +126,9 @@ def fit_response(recordings: Sequence[Recording]) -> Fit:
         return np.asarray((errors(values)[used] / scale).ravel())
 
     scale = np.maximum(np.std(measured, axis=0), _LEAST)
-    found = _start(filters, measured, used, scale)
+    found, free = _with_ramps_or_without(filters, measured, used, scale, scaled)
     for _ in range(2):  # the second time without outliers, and with the scale of the errors
-        found = _refined(scaled, found)
+        found = _refined(scaled, found, free)
         scale = np.maximum(np.std(errors(found)[used], axis=0), _LEAST)
         used &= (np.abs(errors(found)) < _OUTLIER * scale).all(axis=1)
     error = errors(found)
@@ -132,12 +142,37 @@ def fit_response(recordings: Sequence[Recording]) -> Fit:
     return Fit(Estimate(found, room), noise, explained)
 
 
+def _with_ramps_or_without(
+    filters: Sequence[_Filter],
+    measured: FloatArray,
+    used: NDArray[np.bool_],
+    scale: FloatArray,
+    errors: Callable[[FloatArray], FloatArray],
+) -> tuple[FloatArray, int]:
+    """Return the better values of those with ramps and those without, and how many are to fit.
+
+    Encoders tell the mean velocity of a period: a ramp that is over by then is none.
+    """
+    found = {
+        free: _refined(errors, _start(filters, measured, used, scale, slownesses), free)
+        for free, slownesses in ((3, ((0.0,), (0.0,))), (5, _SLOWNESS))
+    }
+    lasts = max(item.ramps_last(found[5]) for item in filters)
+    better = np.sum(errors(found[5]) ** 2) < np.sum(errors(found[3]) ** 2)
+    free = 5 if lasts > _PERIODS and better else 3
+    return found[free], free
+
+
 def _start(
-    filters: Sequence[_Filter], measured: FloatArray, used: NDArray[np.bool_], scale: FloatArray
+    filters: Sequence[_Filter],
+    measured: FloatArray,
+    used: NDArray[np.bool_],
+    scale: FloatArray,
+    slowest: tuple[tuple[float, ...], ...],
 ) -> FloatArray:
     """Return the values of a coarse grid that explain velocities (N, 2) best."""
     misfits: dict[tuple[float, int], list[tuple[float, float, float]]] = {}
-    for part, slownesses in enumerate(_SLOWNESS):
+    for part, slownesses in enumerate(slowest):
         for slow, lag in itertools.product(slownesses, _LAGS):
             answers = [item.answered(part, lag, slow) for item in filters]
             for delay in _DELAYS:
@@ -151,13 +186,19 @@ def _start(
     return np.array([delay, lag_v, lag_w, slow_v, slow_w])
 
 
-def _refined(errors: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
-    """Return the values within their bounds that have the least errors."""
-    bounds = np.zeros(5), _HIGHEST
+def _refined(
+    errors: Callable[[FloatArray], FloatArray], start: FloatArray, free: int
+) -> FloatArray:
+    """Return values within their bounds of which the first ones are free, with least errors."""
+    fixed = start[free:]
     found = least_squares(
-        errors, start, lambda values: _slopes(errors, values), bounds=bounds, x_scale=_STEPS
+        lambda values: errors(np.append(values, fixed)),
+        start[:free],
+        lambda values: _slopes(errors, np.append(values, fixed))[:, :free],
+        bounds=(np.zeros(free), _HIGHEST[:free]),
+        x_scale=_STEPS[:free],
     )
-    return np.asarray(found.x)
+    return np.append(found.x, fixed)
 
 
 def _slopes(errors: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:

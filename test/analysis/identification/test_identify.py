@@ -19,7 +19,7 @@ from adp_path_follower.core.settings.schema import build
 from bag_messages import SECOND, odometry, twist_stamped, write_bag, write_foreign
 from commands import adp
 from driven_robots import BEGIN, driven, slalom, straight
-from sim_unicycle.settings import simulator_settings
+from sim_unicycle.settings import PlantSettings, simulator_settings
 from sim_unicycle.unicycle import Unicycle
 
 
@@ -75,6 +75,33 @@ def test_a_robot_is_found_from_a_bag_of_nav2(tmp_path):
     assert model_of(settings) == plant.model
     assert plant.model.delay == pytest.approx(numbers["parameters"]["delay"]["value"], rel=1e-4)
     assert plant.odometry_rate == pytest.approx(30.0, rel=0.02)
+
+
+def straight_at_once(time):
+    """Drive from the first message on, as a recorder that waits for commands hears it."""
+    return 0.3, 0.0
+
+
+def slowly(time):
+    """Creep with steps of 8 mm/s, within the noise and far below any ramp."""
+    return 0.02 if (time // 4.0) % 2 else 0.012, 0.05 * np.sin(1.3 * time)
+
+
+@pytest.mark.parametrize(("drive", "noise"), [(straight_at_once, 0.0), (slowly, 0.002)])
+def test_a_robot_without_ramps_gets_none(tmp_path, drive, noise):
+    robot = Unicycle(np.zeros(3), PlantSettings(command_delay=0.2, velocity_lag=0.15))
+    random, messages = np.random.default_rng(1), []
+    for step in range(2000):
+        now = 1000 * SECOND + step * SECOND // 50
+        wheels = robot.twist + noise * random.normal(size=2)
+        messages.append(("/odom", now, odometry(now, *robot.measured_pose(), *wheels)))
+        command = np.array(drive(step / 50.0))
+        messages.append(("/cmd_vel", now + 1, twist_stamped(now + 1, *command)))
+        robot.step(command, 0.02)
+    numbers, *_ = identified(tmp_path, write_bag(tmp_path / "bag", messages))
+    # Encoders tell the mean of the last period, so half of it counts as delay.
+    check(numbers, {"delay": 0.21, "linear lag": 0.15}, {"delay": 0.005, "linear lag": 0.005})
+    assert not [name for name in numbers["parameters"] if "ramp" in name]
 
 
 def test_the_path_for_it_excites_every_parameter(tmp_path):
