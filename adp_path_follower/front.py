@@ -180,6 +180,7 @@ def optimum(
     start: ArrayLike = _PAPER_START,
     start_arc_length: float = 0.0,
     horizon: float = 30.0,
+    robot: Mapping[str, object] | str | None = None,
 ) -> Optimum:
     """Return the optimal motion from one start, by offline optimal control (needs CasADi).
 
@@ -191,6 +192,7 @@ def optimum(
         start: Initial error [s, y, theta], shape (3,).
         start_arc_length: Where the virtual target starts [m].
         horizon: Time [s] after which nothing is left to win.
+        robot: As for `simulate`, known with delay, lags, ramps, gains and bias; ideal by default.
 
     Raises:
         AdpError: An argument is wrong, there is no optimum, or CasADi is missing.
@@ -200,7 +202,9 @@ def optimum(
 
     chosen = _settings(settings)
     followed = globals()["path"](path, settings=chosen)
-    return OptimumSolver(chosen, followed, start_arc_length, horizon).solve(np.asarray(start))
+    plant, _ = _robot(robot)
+    solver = OptimumSolver(chosen, followed, start_arc_length, horizon, plant)
+    return solver.solve(np.asarray(start))
 
 
 def analyze(bag: str | FilePath, *, topics: Mapping[str, str] | None = None) -> BagAnalysis:

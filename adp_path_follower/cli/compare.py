@@ -88,9 +88,9 @@ def compare(
     Before a bend:      adp compare --unlimited --start-arc-length 15.53
     A real robot:       adp compare --robot turtlebot4 --params turtlebot4
 
-    With --robot, all see the same noise, J* stays the ideal robot's, and eight of the starts are
-    run. Peers come as published and on our estimator and model (lqr+learned), adp with each model
-    (ideal, learned, given). --controllers takes such names, too.
+    With --robot, all see the same noise, J* is that of the robot known in full, and eight of the
+    starts are run. Peers come as published and on our estimator and model (lqr+learned), adp with
+    each model (ideal, learned, given). --controllers takes such names, too.
 
     Exit code 1 if some start has no known optimum; it is named, and counts in all but J/J*.
     """

@@ -16,6 +16,7 @@ from adp_path_follower.cli.options import (
     path_option,
     progress_bar,
     settings_options,
+    simulator_options,
     start_options,
 )
 from adp_path_follower.cli.outputs import (
@@ -34,7 +35,8 @@ from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import config_file
-from adp_path_follower.study.simulation.simulate import simulate
+from adp_path_follower.study.simulation.simulate import simulate, without_nodes
+from sim_unicycle.settings import SimulatorSettings
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.optimum.collocation import Optimum
@@ -55,6 +57,7 @@ class _Row:
 
 @click.command()
 @settings_options
+@simulator_options
 @path_option
 @start_options
 @click.option("--horizon", type=float, default=30.0, show_default=True, help="Time [s].")
@@ -69,6 +72,7 @@ class _Row:
 def optimum(
     params: FilePath | None,
     assignments: tuple[str, ...],
+    simulator: SimulatorSettings,
     path_name: str,
     starts: tuple[tuple[float, float, float], ...],
     starts_file: FilePath | None,
@@ -94,7 +98,8 @@ def optimum(
         adp optimum --params config/default.yaml --start 0.5 -0.5 1 \
             --start-arc-length 15
 
-    With limits of acceleration the robot starts from rest, and --check knows none.
+    With limits of acceleration, a lag or a ramp the robot starts from rest. A --robot is known with
+    delay, lags, ramps, gains and bias; --check is for ideal ones without limits of acceleration.
 
     Exit code 1 if a start has no converged optimum, J* changes with the horizon by more than 1e-4
     of itself, or --check differs by more than 1e-5; it is named, the others are still written.
@@ -108,13 +113,14 @@ def optimum(
     )
     if check and len(settings.cost.input_cost) == 4 and not settings.limits.unlimited:
         raise AdpError("--check needs a diagonal input_cost where there are limits: leave it out")
-    if check and settings.motion.limited:
-        raise AdpError("--check knows no limits of acceleration: leave one of them out")
+    plant, _ = without_nodes(simulator)
+    if check and (settings.motion.limited or not plant.model.ideal):
+        raise AdpError("--check is for ideal robots without limits of acceleration: leave it out")
     path = named_path(path_name, settings.path)
     errors = collect_starts(starts, starts_file)
     check_writable(json_file, npz_file, figure_file)
     check_figure(figure_file)
-    solver = OptimumSolver(settings, path, start_arc_length, horizon)
+    solver = OptimumSolver(settings, path, start_arc_length, horizon, plant)
     ways = _ways(settings, path, errors, start_arc_length, horizon)
     rows: list[_Row] = []
     with progress_bar(f"solving {len(errors)} starts") as progress:

@@ -58,8 +58,8 @@ class RobotModel:
         """Return how the robot moves [m/s, rad/s] with the wheels' velocities, any shape."""
         return self.linear_gain * v, self.angular_gain * w + self.bias * v
 
-    def wheels(self, v: float, w: float) -> tuple[float, float]:
-        """Return the wheels' velocities with which the robot moves [m/s, rad/s] as wanted."""
+    def wheels(self, v: _Velocity, w: _Velocity) -> tuple[_Velocity, _Velocity]:
+        """Return the wheels' velocities with which the robot moves [m/s, rad/s], any shape."""
         v = v / self.linear_gain
         return v, (w - self.bias * v) / self.angular_gain
 

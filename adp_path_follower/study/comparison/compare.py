@@ -14,7 +14,6 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.speed_profile import SpeedReference, passing_times
-from adp_path_follower.core.robot.model import IDEAL
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import update
 from adp_path_follower.drawing.charts import ShownRun
@@ -139,17 +138,19 @@ def compare(
 
     Target, cost and limits of all are those of `settings`, as is the learner of "adp". The starts
     are errors of shape (B, 3) to a virtual target at `start_arc_length` [m]; the cost is that over
-    `duration` [s]. All see the same noise of `plant` and `faults`, but J* is the ideal robot's.
+    `duration` [s]. All see the same noise of `plant` and `faults`; J* is that of `plant` known in
+    full, without noise, slip, friction and faults.
     `progress` takes the fraction done. Raises AdpError for an unknown controller, no start, limits
     that the optimum does not know, or a controller that does not know those of the others.
     """
     # The first command of all, and of J*, may be what accelerations allow in the same period.
     settings = update(settings, {"controller_frequency": RATE})
-    chosen = contenders(settings, names, plant.model if plant else IDEAL)
+    robot = plant or PlantSettings()
+    chosen = contenders(settings, names, robot.model)
     known = np.asarray(np.isfinite(starts).all(axis=1))
     if not known.any():
         raise AdpError("starts must be finite values s, y, theta, three for each start")
-    solver = OptimumSolver(settings, path, start_arc_length, duration)
+    solver = OptimumSolver(settings, path, start_arc_length, duration, robot)
     reference = solver.problem.reference
     for item in chosen:  # what cannot run is said before the long work
         made = item.factory(item.settings, path, np.full(1, start_arc_length))
@@ -182,8 +183,8 @@ def compare(
         observed = functools.partial(run, observe=ways.of_another(known))
         found = _outcome(item, observed, run, path, starts, duration, lap, len(chosen), advance)
         outcomes.append(found)
-    ideal = (plant is None or plant.ideal) and faults is None
-    costs = np.array([found.cost for found in outcomes]) if ideal else np.zeros((0, len(starts)))
+    pushed = any(robot.push) or (faults is not None and faults.entries)  # which may help
+    costs = np.zeros((0, len(starts))) if pushed else np.array([item.cost for item in outcomes])
     optima, problems = _optima(
         *(solver, starts, ways, costs),
         lambda part: progress((len(chosen) + part) / parts),

@@ -21,11 +21,12 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.study.optimum.problem import Motion, OptimumError, Problem, casadi
+from sim_unicycle.settings import PlantSettings
 
 HORIZON = 30.0  # [s]
 SETTLED = 1e-4  # relative change of J* with the horizon, below which it is that of any horizon
 
-_LONGEST_HORIZON = 1000.0  # [s]: beyond, the mesh is too coarse where the errors are
+_LONGEST = 1000.0  # [s]: beyond, the mesh is too coarse where the errors are
 
 _DEGREE = 5  # of the polynomials on each mesh interval
 _INTERVALS = 40
@@ -92,7 +93,8 @@ class OptimumSolver:
     """Optima from many starts at one place of a path; meshes are transcribed once.
 
     v_des, k1, Q, R and the limits are those of `settings`. The virtual target starts at
-    `start_arc_length` [m]; after `horizon` [s] nothing is left to win.
+    `start_arc_length` [m]; after `horizon` [s] nothing is left to win. `plant`, by default ideal,
+    is known with delay, lags, ramps, gains, bias and limits, and starts from rest.
     """
 
     def __init__(
@@ -101,15 +103,17 @@ class OptimumSolver:
         path: Path,
         start_arc_length: float = 0.0,
         horizon: float = HORIZON,
+        plant: PlantSettings | None = None,
     ) -> None:
         """Prepare; raise OptimumError for a place or a horizon that is not possible."""
-        if not (math.isfinite(start_arc_length) and 0.0 < horizon <= _LONGEST_HORIZON):
+        robot = plant or PlantSettings()
+        self._horizon = horizon - robot.command_delay  # that commands act
+        if not (math.isfinite(start_arc_length) and self._horizon > 0.0 and horizon <= _LONGEST):
             raise OptimumError(
                 f"start_arc_length is {start_arc_length} m and horizon {horizon} s, but they must "
-                f"be finite, the horizon above 0 and at most {_LONGEST_HORIZON:g}"
+                f"be finite, the horizon above {robot.command_delay:g} and at most {_LONGEST:g}"
             )
-        self.problem = Problem(settings, path, start_arc_length, 1.5 * horizon)
-        self._horizon = horizon
+        self.problem = Problem(settings, path, start_arc_length, 1.5 * horizon, robot)
         self._mesh = functools.lru_cache(_MOST_MESHES)(self._transcribed)
 
     def solve(self, start: FloatArray, ways: Sequence[Motion] = ()) -> Optimum:
@@ -121,7 +125,8 @@ class OptimumSolver:
         start = np.asarray(start, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise OptimumError(f"start is {start.tolist()}, but must be finite values s, y, theta")
-        candidates = self._candidates(start, ways)
+        standing = self.problem.standing(np.append(start, self.problem.start_arc_length))
+        candidates = self._candidates(standing, ways)
         if not candidates:
             raise OptimumError(
                 f"no optimum found from the start {start.tolist()}: the solver did not converge "
@@ -131,21 +136,21 @@ class OptimumSolver:
         best, breaks, change = self._converged(coarse, best)
         longer = self._refined(best, _prolonged(breaks))
         return Optimum(
-            motion=best,
+            motion=best.after(standing),
             mesh_change=change,
             horizon_change=_change(longer, best),
             intervals=len(breaks) - 1,
             guesses=tuple(motion.cost for _, motion in candidates),
         )
 
-    def _candidates(self, start: FloatArray, ways: Sequence[Motion]) -> list[tuple[Motion, Motion]]:
+    def _candidates(self, standing: Motion, ways: Sequence[Motion]) -> list[tuple[Motion, Motion]]:
         """Return what starting guesses lead to, on a mesh and on one twice as fine, best first."""
         breaks = _graded(_INTERVALS // 2, self._horizon)
         coarse, fine = self._mesh(breaks), self._mesh(_halved(breaks))
         found: list[Motion] = []
-        known = [way.at(coarse.time) for way in ways]
-        first = np.append(start, self.problem.start_arc_length)
-        for guess in [*known, *self.problem.guesses(start, coarse.time)]:
+        known = [way.at(standing.time[-1] + coarse.time) for way in ways]
+        first = standing.state[-1]
+        for guess in [*known, *self.problem.guesses(first[:3], coarse.time)]:
             motion = coarse.solve(guess.beginning_at(first))  # a robot may have begun elsewhere
             if motion is not None and all(_change(motion, other) > 1e-6 for other in found):
                 found.append(motion)
@@ -158,7 +163,7 @@ class OptimumSolver:
         breaks = _halved(_graded(_INTERVALS // 2, self._horizon))
         change = _change(best, coarse)
         turns = np.abs(best.state[:, 2]).max() > math.pi
-        kinked = turns or self.problem.settings.motion.limited
+        kinked = turns or self.problem.settings.motion.limited or not self.problem.robot.ideal
         tolerance = _KINKED_TOLERANCE if kinked else _TOLERANCE
         while change > tolerance:
             if len(breaks) > 4 * _INTERVALS:
@@ -224,40 +229,37 @@ class _Mesh:
         self.time = np.append(0.0, (breaks[:-1, None] + steps[:, None] * points).ravel())
         count = intervals * _DEGREE
         state = casadi.MX.sym("state", 4, count + 1)
-        command = casadi.MX.sym("command", 2, count + 1)
+        wheels = casadi.MX.sym("wheels", 2, count + 1)
         start = casadi.MX.sym("start", 4)
         expressions = problem.expressions()
-        rate, cost = expressions.map(count)(state[:, 1:], command[:, 1:])
-        defects, slopes, total = [state[:, 0] - start], [], 0.0
-        slowest, fastest = problem.rates()
-        limited = np.flatnonzero(np.isfinite(slowest) | np.isfinite(fastest)).tolist()
+        rate, cost = expressions.map(count)(state[:, 1:], wheels[:, 1:])
+        defects, total = [state[:, 0] - start], 0.0
         for index, step in enumerate(steps):
             first, last = index * _DEGREE, (index + 1) * _DEGREE
             slope = state[:, first : last + 1] @ derivative
             defects.append(casadi.vec(slope - step * rate[:, first:last]))
             total += step * (cost[:, first:last] @ quadrature)
-            slopes += [command[row, first : last + 1] @ derivative / step for row in limited]
-        limits, exact = problem.settings.limits, np.zeros(4 * (count + 1))
-        free = np.full(4 * (count + 1), math.inf)
-        # The first command is free as far as accelerations allow; without limits it counts nowhere.
-        first_lower, first_upper = np.zeros((2, 2))
-        lowest, highest = problem.limits_at_rest()
-        first_lower[limited], first_upper[limited] = lowest[limited], highest[limited]
-        self._limited = limited
+        commands = _commands(problem, wheels, steps, np.append(0.0, points))
+        exact, free = np.zeros(4 * (count + 1)), np.full(4 * (count + 1), math.inf)
+        # The first velocity is free as far as rates allow; without any it counts nowhere.
+        bounded = np.isfinite(problem.rates()[1]) | (problem.lags > 0.0)
+        lowest, highest = np.where(bounded & (problem.lags == 0.0), problem.limits_at_rest(), 0.0)
+        lower, upper = problem.limits()
+        self._free_first = np.flatnonzero(~bounded)
         self._bounds: dict[str, Any] = {
-            "lbx": np.concatenate([-free, first_lower, np.tile(limits.lower, count)]),
-            "ubx": np.concatenate([free, first_upper, np.tile(limits.upper, count)]),
-            "lbg": np.append(exact, np.tile(np.repeat(slowest[limited], _DEGREE), intervals)),
-            "ubg": np.append(exact, np.tile(np.repeat(fastest[limited], _DEGREE), intervals)),
+            "lbx": np.concatenate([-free, lowest, np.tile(lower, count)]),
+            "ubx": np.concatenate([free, highest, np.tile(upper, count)]),
+            "lbg": np.concatenate([exact, *(low for _, low, _ in commands)]),
+            "ubg": np.concatenate([exact, *(high for _, _, high in commands)]),
         }
         self._solver = casadi.nlpsol(
             "optimum",
             "ipopt",
             {
-                "x": casadi.vertcat(casadi.vec(state), casadi.vec(command)),
+                "x": casadi.vertcat(casadi.vec(state), casadi.vec(wheels)),
                 "p": start,
                 "f": total,
-                "g": casadi.vertcat(*defects, *(slope.T for slope in slopes)),
+                "g": casadi.vertcat(*defects, *(item.T for item, _, _ in commands)),
             },
             {
                 "print_time": False,
@@ -273,21 +275,25 @@ class _Mesh:
     def solve(self, guess: Motion) -> Motion | None:
         """Return the optimal motion from where a guess starts; None if none is found."""
         start = guess.state[0]
-        command = guess.modified_input + self._problem.feedforward(guess.state[:, 3])
-        values = np.append(guess.state.ravel(), command.ravel())
+        values = np.append(guess.state.ravel(), self._wheels(guess).ravel())
         result = self._solver(x0=values, p=start, **self._bounds)
         if not self._solver.stats()["success"]:
             return None
         found = np.array(result["x"]).ravel()
         state = found[: guess.state.size].reshape(-1, 4)
         state[0] = start  # as it is, without the solver's rounding
-        command = found[guess.state.size :].reshape(-1, 2)
+        wheels = found[guess.state.size :].reshape(-1, 2)
         # No collocation point lies at the start: the first interval's polynomial gives its command.
-        first = BarycentricInterpolator(self._points, command[1 : _DEGREE + 1])(0.0)
-        free = [row for row in range(2) if row not in self._limited]
-        command[0, free] = first[free]
-        modified = command - self._problem.feedforward(state[:, 3])
+        first = BarycentricInterpolator(self._points, wheels[1 : _DEGREE + 1])(0.0)
+        wheels[0, self._free_first] = first[self._free_first]
+        moved = np.stack(self._problem.robot.motion(*wheels.T), axis=1)
+        modified = moved - self._problem.feedforward(state[:, 3])
         return Motion(float(result["f"]), self.time, state, modified)
+
+    def _wheels(self, motion: Motion) -> FloatArray:
+        """Return the wheels' velocities of a motion, shape (T, 2)."""
+        moved = motion.modified_input + self._problem.feedforward(motion.state[:, 3])
+        return np.stack(self._problem.robot.wheels(*moved.T), axis=1)
 
     def redistributed(self, motion: Motion) -> tuple[float, ...]:
         """Return a mesh with as many intervals, close where a motion's polynomials are wrong."""
@@ -306,14 +312,41 @@ class _Mesh:
         between = 0.5 * (nodes[1:] + nodes[:-1])
         index = np.arange(len(steps))[:, None] * _DEGREE + np.arange(_DEGREE + 1)
         states = np.swapaxes(motion.state[index], 0, 1)  # (points, N, 4)
-        command = motion.modified_input + self._problem.feedforward(motion.state[:, 3])
-        commands = np.swapaxes(command[index[:, 1:]], 0, 1)
+        wheels = np.swapaxes(self._wheels(motion)[index[:, 1:]], 0, 1)
         # Krogh's, for scipy 1.11 has no derivative of a barycentric one.
         curve = KroghInterpolator(nodes, states)
         state, slope = curve(between), curve.derivative(between)
-        held = BarycentricInterpolator(self._points, commands)(between)
+        held = BarycentricInterpolator(self._points, wheels)(between)
         rate, _ = self._expressions.map(state.shape[0] * state.shape[1])(
             state.reshape(-1, 4).T, held.reshape(-1, 2).T
         )
         missed = slope - steps[:, None] * np.array(rate).T.reshape(state.shape)
         return np.asarray(np.abs(missed).max(axis=(0, 2)))
+
+
+def _commands(
+    problem: Problem, wheels: Any, steps: FloatArray, nodes: FloatArray
+) -> list[tuple[Any, FloatArray, FloatArray]]:
+    """Return the constraints on v and w of the command, v + lag v' of the wheels: what, low, high.
+
+    `wheels` are their velocities at the nodes of all intervals; limits of velocity hold at the
+    collocation points, those of acceleration there and where intervals join.
+    """
+    slope_at = KroghInterpolator(nodes, np.eye(len(nodes))).derivative(nodes).T
+    (lower, upper), (slowest, fastest) = problem.limits(), problem.rates()
+    lowest, highest = problem.limits_at_rest()
+    ones, found = np.ones(_DEGREE), []
+    for row in range(2):
+        before, least, most = 0.0, lowest[row], highest[row]
+        for index, step in enumerate(steps):
+            velocity = wheels[row, index * _DEGREE : (index + 1) * _DEGREE + 1]
+            command = velocity + problem.lags[row] / step * (velocity @ slope_at)
+            if problem.lags[row] > 0.0:
+                found.append((command[1:], lower[row] * ones, upper[row] * ones))
+            if math.isfinite(fastest[row]):
+                change = command @ slope_at[:, 1:] / step
+                found.append((change, slowest[row] * ones, fastest[row] * ones))
+                if problem.lags[row] > 0.0:
+                    found.append((command[0] - before, np.array([least]), np.array([most])))
+            before, least, most = command[-1], 0.0, 0.0
+    return found

@@ -1,4 +1,8 @@
-"""The optimal control problem offline, and motions to start a search from."""
+"""The optimal control problem offline, and motions to start a search from.
+
+It is written in the velocities [v, w] of the wheels. Their command is v + lag v', whose change a
+ramp bounds. A robot with a delay stands still until its first command acts.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +24,7 @@ from adp_path_follower.core.path.speed_profile import passing_times, speed_from_
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import Library
 from adp_path_follower.study.simulation.simulate import Observer
+from sim_unicycle.settings import PlantSettings
 
 casadi = Library("casadi", "the offline optimum", "optimum")
 
@@ -56,6 +61,15 @@ class Motion:
         columns = [np.interp(time, self.time, column) for column in self.modified_input.T]
         return Motion(self.cost, time, state, np.stack(columns, axis=1))
 
+    def after(self, first: Motion) -> Motion:
+        """Return another motion, and this one after it."""
+        return Motion(
+            first.cost + self.cost,
+            np.append(first.time, first.time[-1] + self.time[1:]),
+            np.vstack([first.state, self.state[1:]]),
+            np.vstack([first.modified_input[:-1], self.modified_input]),
+        )
+
     def beginning_at(self, start: FloatArray) -> Motion:
         """Return the motion from s, y, theta, s_p, shape (4,); its own turns of theta stay."""
         state = self.state.copy()
@@ -68,13 +82,20 @@ class Problem:
     """The optimal control problem in the target's frame, as numbers and as CasADi expressions."""
 
     def __init__(
-        self, settings: Settings, path: Path, start_arc_length: float, horizon: float
+        self,
+        settings: Settings,
+        path: Path,
+        start_arc_length: float,
+        horizon: float,
+        plant: PlantSettings,
     ) -> None:
         """Prepare curvature and speed of the path from the start to what is reached in a time [s].
 
         Raises OptimumError for settings or a path that the problem does not know.
         """
         self.settings, self.path = settings, path
+        self.robot, self._plant = plant.model, plant
+        self.lags = np.array([self.robot.linear_lag, self.robot.angular_lag])
         self.start_arc_length = start_arc_length
         self.state_cost = settings.cost.state_cost_matrix()
         self.input_cost = settings.cost.input_cost_matrix()
@@ -97,8 +118,9 @@ class Problem:
             self._profile = casadi.interpolant("profile", "bspline", [knots], squares)
 
     def expressions(self) -> Any:
-        """Return a CasADi function (state, command [v, w]) -> (state', running cost)."""
-        state, command = casadi.MX.sym("state", 4), casadi.MX.sym("command", 2)
+        """Return a CasADi function (state, wheels' [v, w]) -> (state', running cost)."""
+        state, wheels = casadi.MX.sym("state", 4), casadi.MX.sym("wheels", 2)
+        linear, angular = self.robot.motion(wheels[0], wheels[1])
         s, y, theta, arc_length = casadi.vertsplit(state)
         target, curvature = self.settings.target, self._curvature(arc_length)
         v_des = target.desired_speed
@@ -113,17 +135,17 @@ class Problem:
             v_des = casadi.sqrt(squared)
         speed = v_des * casadi.cos(theta) + target.target_gain * s
         rate = casadi.vertcat(
-            speed * (curvature * y - 1.0) + command[0] * casadi.cos(theta),
-            command[0] * casadi.sin(theta) - curvature * s * speed,
-            command[1] - curvature * speed,
+            speed * (curvature * y - 1.0) + linear * casadi.cos(theta),
+            linear * casadi.sin(theta) - curvature * s * speed,
+            angular - curvature * speed,
             speed,
         )
-        u = command - casadi.vertcat(v_des, v_des * curvature)
+        u = casadi.vertcat(linear - v_des, angular - v_des * curvature)
         # As everybody's cost does it, whichever way round the robot turns.
         wrapped = theta - 2.0 * math.pi * casadi.floor((theta + math.pi) / (2.0 * math.pi))
         error = casadi.vertcat(s, y, wrapped)
         cost = casadi.bilin(self.state_cost, error, error) + casadi.bilin(self.input_cost, u, u)
-        return casadi.Function("problem", [state, command], [rate, cost])
+        return casadi.Function("problem", [state, wheels], [rate, cost])
 
     def feedforward(self, arc_length: FloatArray) -> FloatArray:
         """Return [v_ss, w_ss] at arc lengths (T,) [m], shape (T, 2)."""
@@ -131,21 +153,46 @@ class Problem:
             self.path.curvature(arc_length), self.reference.speed(arc_length)
         )
 
+    def limits(self) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest command [v, w], shape (2,)."""
+        limits, plant = self.settings.limits, self._plant
+        lower = np.array([plant.min_linear_vel, -plant.max_angular_vel])
+        upper = np.array([plant.max_linear_vel, plant.max_angular_vel])
+        return np.maximum(limits.lower, lower), np.minimum(limits.upper, upper)
+
     def limits_at_rest(self) -> tuple[FloatArray, FloatArray]:
         """Return the lowest and the highest first command [v, w] (2,) that accelerations allow.
 
         A command that is held rises at once by what a period allows: half a period ahead of a ramp.
         """
-        lower, upper = self.rates()
+        slowest, fastest = self.rates()
         half = 0.5 / self.settings.controller.controller_frequency
-        limits = self.settings.limits
-        return np.maximum(half * lower, limits.lower), np.minimum(half * upper, limits.upper)
+        lower, upper = self.limits()
+        return np.maximum(half * slowest, lower), np.minimum(half * fastest, upper)
 
     def rates(self) -> tuple[FloatArray, FloatArray]:
         """Return the lowest and the highest rate of the command, shape (2,) [m/s^2, rad/s^2]."""
-        motion = self.settings.motion
+        motion, plant = self.settings.motion, self._plant
+        robot = np.minimum(self.robot.ramps, [plant.max_linear_accel, plant.max_angular_accel])
         lower = [motion.max_linear_decel, motion.max_angular_accel]
-        return -np.array(lower), np.array([motion.max_linear_accel, motion.max_angular_accel])
+        upper = [motion.max_linear_accel, motion.max_angular_accel]
+        return -np.minimum(lower, robot), np.minimum(upper, robot)
+
+    def standing(self, start: FloatArray) -> Motion:
+        """Return the motion from s, y, theta, s_p, shape (4,), until the first command acts."""
+        time = np.linspace(0.0, self.robot.delay, 1 + math.ceil(self.robot.delay / _STEP))
+        rates = self.expressions()
+        states, total = [start], 0.0
+        for step in np.diff(time):
+            slopes: list[FloatArray] = [np.zeros(5)]
+            for share in (0.0, 0.5, 0.5, 1.0):
+                found = rates(states[-1] + share * step * slopes[-1][:4], np.zeros(2))
+                slopes.append(np.vstack([np.array(item) for item in found]).ravel())
+            mean = np.array([1.0, 2.0, 2.0, 1.0]) @ np.array(slopes[1:]) / 6.0
+            states.append(states[-1] + step * mean[:4])
+            total += step * mean[4]
+        state = np.array(states)
+        return Motion(total, time, state, -self.feedforward(state[:, 3]))
 
     def guesses(self, start: FloatArray, time: FloatArray) -> list[Motion]:
         """Return Riccati's motion, a fast and a slow decay; facing backwards, for each turn."""

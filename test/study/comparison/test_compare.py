@@ -23,9 +23,10 @@ from adp_path_follower.study.comparison import compare as comparison
 from adp_path_follower.study.comparison.compare import Comparison, Outcome, compare
 from adp_path_follower.study.comparison.controllers import CONTROLLERS, Contender, contenders
 from adp_path_follower.study.comparison.figures import draw_comparison
-from adp_path_follower.study.simulation.simulate import simulate
+from adp_path_follower.study.simulation.simulate import simulate, without_nodes
 from commands import adp
 from folders import DATA
+from sim_unicycle.settings import SimulatorSettings
 
 OPTIMUM = json.loads((DATA / "optimum.json").read_text())
 UNLIMITED = {
@@ -121,9 +122,10 @@ def test_an_optimum_that_a_controller_undercuts_is_none(monkeypatch):
         return dataclasses.replace(found, motion=motion)
 
     monkeypatch.setattr(comparison.OptimumSolver, "solve", dearer)
-    found = compare(
-        build(Settings, UNLIMITED), "circle:1.0", circle(1.0), STARTS[:1], ["lqr"], duration=6.0
-    )
+    plant, faults = without_nodes(SimulatorSettings())  # as commands give them
+    settings, path, starts = build(Settings, UNLIMITED), circle(1.0), STARTS[:1]
+    robot = {"plant": plant, "faults": faults}
+    found = compare(settings, "circle:1.0", path, starts, ["lqr"], duration=6.0, **robot)
     assert "is only a local one" in found.problems[0]
     assert np.isnan(found.outcomes[0].cost_ratio).all()
 

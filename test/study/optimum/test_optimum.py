@@ -19,12 +19,14 @@ casadi = pytest.importorskip("casadi", reason="the extra 'optimum' is not instal
 
 from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.path.library import named_path
+from adp_path_follower.core.robot.robot import settings_of
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
 from adp_path_follower.study.optimum.costate import solve_costates
 from adp_path_follower.study.optimum.problem import OptimumError
 from adp_path_follower.study.simulation.simulate import simulate
+from sim_unicycle.settings import PlantSettings
 
 REFERENCE = json.loads((DATA / "optimum.json").read_text())
 PAPER_START = REFERENCE["figure_eight"]["start"]
@@ -33,6 +35,7 @@ UNLIMITED = {
     "max_linear_vel": math.inf,
     "max_angular_vel": math.inf,
 }
+LATE = {"command_delay": 0.1, "gains": (0.97, 1.03), "bias": 0.05}
 CORNER = "x,y\n0,0\n1,0\n2,0\n3,0\n3,1\n3,2\n3,3\n3,8\n"
 PATHS = {"lissajous": "lissajous", "line": "line", "circle0.5": "circle:0.5"}
 PATHS["circle1.0"] = "circle:1.0"
@@ -294,36 +297,58 @@ def test_limits_of_acceleration_hold_and_cost():
     assert optimum_from(start).cost * 1.02 < optimum_from(start, max_angular_accel=1.0).cost
 
 
-def test_the_optimum_with_limits_of_acceleration_is_that_of_shooting_with_held_commands():
-    """Poses on a line, commands that change by at most 1 rad/s^2, held for 20 ms each."""
-    count, step, start, v_des = 500, 0.02, (0.2, 0.5, 0.3), 0.5
-    state, held = casadi.SX.sym("state", 4), casadi.SX.sym("held", 2)  # x, y, theta, target
-    along = state[0] - state[3]
-    target_speed = v_des * casadi.cos(state[2]) + 0.1 * along
-    rate = casadi.vertcat(
-        held[0] * casadi.cos(state[2]), held[0] * casadi.sin(state[2]), held[1], target_speed
-    )
-    cost = along**2 + state[1] ** 2 + state[2] ** 2 + (held[0] - v_des) ** 2 + held[1] ** 2
-    rates = casadi.Function("rates", [state, held], [casadi.vertcat(rate, cost)])
-    now = casadi.vertcat(state, casadi.SX.sym("cost"))
+@pytest.mark.parametrize(
+    ("plant", "settings"),
+    [
+        (PlantSettings(), {"max_angular_accel": 1.0}),
+        (
+            PlantSettings(velocity_lag=0.2, angular_lag=0.3, **LATE),
+            {"max_linear_vel": 0.6, "max_angular_vel": 1.0},
+        ),
+        (PlantSettings(velocity_lag=0.2, command_ramps=(1.0, 2.0), **LATE), {}),
+    ],
+    ids=["acceleration", "late", "ramp"],
+)
+def test_the_optimum_is_that_of_shooting_with_held_commands(plant, settings):
+    """Poses on a line; commands are held for 20 ms each, and their changes bounded."""
+    count, step, start, v_des, robot = 300, 0.02, (0.2, 0.5, 0.3), 0.5, plant.model
+    # x, y, theta, place of the target, cost, and the wheels' velocities
+    state, held = casadi.SX.sym("state", 7), casadi.SX.sym("held", 2)
+    lags = (robot.linear_lag, robot.angular_lag)
+    v, w = robot.motion(*[state[5 + i] if lag else held[i] for i, lag in enumerate(lags)])
+    along, heading = state[0] - state[3], state[2]
+    moved = (v * casadi.cos(heading), v * casadi.sin(heading), w)
+    target_speed = v_des * casadi.cos(heading) + 0.1 * along
+    cost = along**2 + state[1] ** 2 + heading**2 + (v - v_des) ** 2 + w**2
+    answers = [(held[i] - state[5 + i]) / lag if lag else 0.0 for i, lag in enumerate(lags)]
+    rate = casadi.vertcat(*moved, target_speed, cost, *answers)
+    rates = casadi.Function("rates", [state, held], [rate])
     slopes = [rates(state, held)]
     for share in (0.5, 0.5, 1.0):
-        slopes.append(rates(state + share * step * slopes[-1][:4], held))
-    after = now + step / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
-    drive = casadi.Function("drive", [now, held], [after]).mapaccum(count)
+        slopes.append(rates(state + share * step * slopes[-1], held))
+    after = state + step / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
+    drive = casadi.Function("drive", [state, held], [after]).mapaccum(count)
     commands = casadi.MX.sym("commands", 2, count)
-    turns = casadi.diff(casadi.horzcat(casadi.MX(1, 1), commands[1, :]), 1, 1)
+    acting = casadi.horzcat(casadi.MX(2, round(robot.delay / step)), commands)[:, :count]
     program = {
         "x": casadi.vec(commands),
-        "f": drive(casadi.DM([start[0], start[1], start[2], 0.0, 0.0]), commands)[4, -1],
-        "g": turns.T,
+        "f": drive(casadi.DM([*start, 0.0, 0.0, 0.0, 0.0]), acting)[4, -1],
+        "g": casadi.vec(casadi.diff(casadi.horzcat(casadi.MX(2, 1), commands), 1, 1)),
     }
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
     options["ipopt.hessian_approximation"] = "limited-memory"
     shooting = casadi.nlpsol("shooting", "ipopt", program, options)
-    found = shooting(x0=np.tile([v_des, 0.0], count), lbg=-step, ubg=step)
-    limited = solver("line", 10.0, max_angular_accel=1.0, controller_frequency=1.0 / step)
-    assert limited.solve(np.array(start)).cost == pytest.approx(float(found["f"]), rel=1e-4)
+    built = build(Settings, {**UNLIMITED, **settings, "controller_frequency": 1.0 / step})
+    known = OptimumSolver(built, named_path("line"), 0.0, count * step, plant)
+    (lower, upper), change = known.problem.limits(), step * known.problem.rates()[1]
+    found = shooting(
+        x0=np.tile([v_des, 0.0], count),
+        lbx=np.tile(lower, count),
+        ubx=np.tile(upper, count),
+        lbg=np.tile(-change, count),
+        ubg=np.tile(change, count),
+    )
+    assert known.solve(np.array(start)).cost == pytest.approx(float(found["f"]), rel=1e-4)
 
 
 def test_ways_that_began_elsewhere_lead_to_the_optimum_from_the_start():
@@ -384,3 +409,14 @@ def test_without_casadi_the_command_names_the_extra(tmp_path):
     assert done.returncode == 2
     assert "pip install 'adp_path_follower[optimum]'" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_known_late_robot_is_driven_nearly_as_well_as_can_be():
+    """A delay costs what the robot does until its first command acts, and hardly more."""
+    start, plant = np.array([0.3, 0.5, 0.4]), PlantSettings(command_delay=0.2, velocity_lag=0.3)
+    settings = build(Settings, {"robot_model": "given", **settings_of(plant.model)})
+    path = named_path("lissajous")
+    optimum = OptimumSolver(settings, path, horizon=15.0, plant=plant).solve(start)
+    ideal = OptimumSolver(settings, path, horizon=15.0).solve(start)
+    driven = simulate(settings, path, start, duration=15.0, learning="warm", plant=plant)
+    assert 1.05 * ideal.cost < optimum.cost <= driven.cost[0] <= 1.002 * optimum.cost
