@@ -54,6 +54,25 @@ def joined(points: FloatArray, closed: bool | None) -> tuple[FloatArray, bool]:
     return points, closed
 
 
+def averaged(points: FloatArray, width: float, most: float) -> FloatArray:
+    """Return the means of points (N, 2) that lie within a width [m] along the way, and the ends.
+
+    So rounded coordinates of dense points bend no curve. Returns the points as they are where most
+    are farther apart, or where one would be more than `most` [m] beside the means.
+    """
+    chords = np.hypot(*np.diff(points, axis=0).T)
+    place = np.concatenate([[0.0], np.cumsum(chords)])
+    if np.median(chords) > 0.5 * width or place[-1] < 8.0 * width:
+        return points
+    first = np.flatnonzero(np.diff((place / width).astype(int), prepend=-1))
+    counts = np.diff(first, append=len(points))
+    rows = np.column_stack([place, points])
+    means = np.add.reduceat(rows, first, axis=0) / counts[:, None]
+    means[0], means[-1] = rows[0], rows[-1]
+    beside = [np.interp(place, means[:, 0], means[:, axis]) for axis in (1, 2)] - points.T
+    return np.ascontiguousarray(means[:, 1:]) if np.hypot(*beside).max() <= most else points
+
+
 def distinct_points(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:
     """Return points without coinciding neighbours (N, 2) and their indices (N,), or PathError."""
     try:

@@ -17,11 +17,15 @@ from numpy.typing import ArrayLike
 from adp_path_follower.core.errors import PathError
 from adp_path_follower.core.geometry import FloatArray, contiguous, wrap_angle
 from adp_path_follower.core.path.curve import Path, TurningBackError
-from adp_path_follower.core.path.points import chord_spline, distinct_points, joined
+from adp_path_follower.core.path.points import averaged, chord_spline, distinct_points, joined
 from adp_path_follower.core.path.route import Route, Segment
 from adp_path_follower.core.path.smoothing import Interpolation, bends, is_fair, smoothed
 from adp_path_follower.core.settings.groups import PathSettings
 
+_DENSE, _MOVED = (
+    0.25,
+    0.02,
+)  # shares of the tolerance: poses this near are averaged, and move so far
 _CUSP = math.cos(math.radians(135.0))  # of the turn from which on the motion is cut
 _SHORT = 1.5  # times the tolerance: a chord that may hide the tip of a cusp
 _DECIDED = 0.5  # cosine between orientation and motion from which on it says forwards, or backwards
@@ -133,7 +137,7 @@ def _route(poses: _Poses, said: bool | None, settings: PathSettings) -> Route:
         return Route((Segment(Path.from_points(poses.points, said)),))
     unfit = None
     if not _against_motion(poses).any():
-        unfit = _interpolation(poses.points, said)
+        unfit = _interpolation(poses.points, said, settings.path_tolerance)
         path = _exact(unfit, settings.path_tolerance)
         if path is not None:
             return Route((Segment(path),))
@@ -154,8 +158,8 @@ def _against_motion(poses: _Poses) -> np.ndarray:
     return np.asarray((ends[0] < -_DECIDED) & (ends[1] < -_DECIDED))
 
 
-def _interpolation(points: FloatArray, said: bool | None) -> Interpolation:
-    points, closed = joined(points, said)
+def _interpolation(points: FloatArray, said: bool | None, tolerance: float) -> Interpolation:
+    points, closed = joined(averaged(points, _DENSE * tolerance, _MOVED * tolerance), said)
     return Interpolation(*chord_spline(points, closed), points, closed)
 
 
@@ -311,7 +315,7 @@ def _fitted(
     """Return the path of a segment, other than the `unfit` one; PathError if smoothing fails."""
     if unfit is not None and unfit.closed != closed:
         unfit = None
-    through = unfit or _interpolation(poses.points, closed)
+    through = unfit or _interpolation(poses.points, closed, tolerance)
     try:
         path = None if unfit else _exact(through, tolerance)
         if path is not None:

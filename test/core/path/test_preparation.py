@@ -330,3 +330,23 @@ def test_a_long_path_is_tried_for_fairness_once(monkeypatch, closed):
     monkeypatch.setattr(preparation, "is_fair", spied)
     prepare(SQUARE, FORWARDS, closed=closed)
     assert len(asked) == 1
+
+
+def test_rounded_coordinates_of_dense_points_bend_no_curve():
+    turns = np.linspace(0.0, 2.0 * np.pi, 100_001)
+    points = np.column_stack([60.0 * np.cos(turns), 30.0 * np.sin(turns)]).round(6)
+    route = prepare(points, PathSettings())
+    assert route.closed
+    curvature = route.segments[0].path.curvature(np.linspace(0.0, route.length, 20_000)[:-1])
+    exact = 30.0 / 60.0**2, 60.0 / 30.0**2
+    assert exact[0] - 0.02 < curvature.min()
+    assert curvature.max() < exact[1] + 0.02
+
+
+def test_dense_points_of_a_corner_are_no_farther_than_the_tolerance():
+    side = np.linspace(0.0, 2.0, 2001)
+    points = np.vstack(
+        [np.column_stack([side, 0.0 * side]), np.column_stack([2.0 + 0.0 * side, side])]
+    )
+    path = prepare(points, PathSettings()).segments[0].path
+    assert cKDTree(path.points(0.001)[:, :2]).query(points)[0].max() < 0.05
