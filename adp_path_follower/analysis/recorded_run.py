@@ -24,6 +24,7 @@ _SAME_CLOCK_SHARE = 0.9  # of the commands that arrived exactly at the stamp of 
 _FLOOR = 1e-9  # [m/s, rad/s]: a command below it is zero
 _NO_COMMANDS = Series(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
 _RECENT = 0.5  # [s]: an older target is not the robot's any more
+_NEAR = 1.0  # [m]: who never was so near to the path was to follow another one
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,8 @@ def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
     segments = tuple(itertools.chain.from_iterable(route.segments for route in followed.routes))
     learner = _learner(run, clock, start)
     target = _target_at((odometry.stamp - start) * 1e-9, learner.get("target"))
-    notes = [*run.notes, *line.notes, *followed.notes, *told.notes]
+    projection = _projection(segments, segment_of_pose, followed.poses, motion, target)
+    notes = [*run.notes, *line.notes, *followed.notes, *told.notes, *_far_off(projection)]
     return Drive(
         run=run,
         clock=clock,
@@ -122,7 +124,7 @@ def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
                 known[:, None], np.c_[followed.poses, odometry.values[:, 3:]], odometry.values
             ),
         ),
-        projection=_projection(segments, segment_of_pose, followed.poses, motion, target),
+        projection=projection,
         segments=segments,
         segment_of_pose=segment_of_pose,
         commands=_timed(commands, start),
@@ -178,6 +180,17 @@ def _projection(
         )
         columns[:, rows] = found.arc_length, found.cross_track, found.heading
     return Projection(*columns)
+
+
+def _far_off(projection: Projection) -> list[str]:
+    """Return a sentence if the robot was never near the path."""
+    away = np.abs(projection.cross_track[np.isfinite(projection.cross_track)])
+    if not len(away) or away.min() < _NEAR:
+        return []
+    return [
+        f"the robot was never nearer than {away.min():.1f} m to the path: is it the one that it "
+        "was to follow, and in its frame?"
+    ]
 
 
 def _target_at(time: FloatArray, target: Timed | None) -> FloatArray:

@@ -92,6 +92,12 @@ def test_a_path_that_is_sent_again_without_what_is_driven_is_the_same_one(tmp_pa
     assert_driven(analysed(tmp_path, messages))
 
 
+def test_a_robot_that_never_was_near_its_path_is_told_of(tmp_path):
+    away = np.add(along(CORNERS), [30.0, 0.0, 0.0])
+    notes = analysed(tmp_path, drive_along(away, CORNERS)).notes
+    assert any("never nearer than 28.0 m to the path" in note for note in notes)
+
+
 def test_a_path_of_a_file_stands_for_one_that_the_bag_has_not(tmp_path):
     messages = drive_along(along(CORNERS), CORNERS)[1:]
     file = tmp_path / "path.csv"
