@@ -15,7 +15,6 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-import yaml
 
 from adp_path_follower.core.errors import FileError, SettingsError
 from adp_path_follower.core.files import parse_yaml, write_whole
@@ -80,10 +79,13 @@ def encode(saved: SavedWeights) -> bytes:
 
 def decode(content: bytes, name: str) -> SavedWeights:
     """Return the weights in the content of a weights file; FileError, with `name`, if unsound."""
+    head: object = None
     try:
-        parts = _unpacked(content)
-        head = parse_yaml(parts.pop("head").tobytes().decode())
-    except (yaml.YAMLError, UnicodeDecodeError, _DamageError):
+        with np.load(io.BytesIO(content)) as archive:
+            if sum(member.file_size for member in archive.zip.infolist()) <= _MOST_BYTES:
+                parts = {array: archive[array] for array in _ARRAYS}
+                head = parse_yaml(archive["head"].tobytes().decode())
+    except Exception:  # the libraries raise anything for damaged bytes
         head = None
     if not isinstance(head, dict) or head.get("format") != _FORMAT:
         raise FileError(f"{name} is no weights file, or is damaged: {_AGAIN}")
@@ -140,20 +142,7 @@ def write_weights(file: FilePath, content: bytes) -> None:
 
 
 class _DamageError(Exception):
-    """Says what is wrong with a file."""
-
-
-def _unpacked(content: bytes) -> dict[str, np.ndarray]:
-    """Return the arrays of an .npz file, whose checksums are right."""
-    try:
-        with np.load(io.BytesIO(content)) as archive:
-            if sum(member.file_size for member in archive.zip.infolist()) > _MOST_BYTES:
-                raise _DamageError("its arrays are too large")
-            return {name: archive[name] for name in ("head", *_ARRAYS)}
-    except _DamageError:
-        raise
-    except Exception as error:  # any exception of the libraries for damaged bytes
-        raise _DamageError(str(error)) from None
+    """Says why a file that is one of weights cannot be used."""
 
 
 def _checked_settings(values: Any) -> Settings:

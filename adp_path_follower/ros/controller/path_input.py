@@ -33,13 +33,6 @@ class PathRequest:
     settings: PathSettings  # settings to prepare it with
     goal: object = None  # the goal of an action that it is for, None from the topic
 
-    def fitted(self, fit: Fit) -> Route:
-        """Return the route; a goal has an end, also where that is at the beginning."""
-        settings = self.settings
-        if self.goal is not None and settings.path_closed == "auto":
-            settings = replace(settings, path_closed="open")
-        return fit(self.raw, settings)
-
 
 @dataclass(frozen=True)
 class PathAnswer:
@@ -78,10 +71,12 @@ class PathAnswer:
 
 def answer(request: PathRequest, fit: Fit = route_of_message) -> PathAnswer:
     """Return the route of a path, ready to be driven, or why there is none."""
-    frame = ""
+    frame, settings = "", request.settings
+    if request.goal is not None and settings.path_closed == "auto":
+        settings = replace(settings, path_closed="open")  # a goal has an end, also at the beginning
     try:
         frame = frame_of(request.raw)
-        route = request.fitted(fit)
+        route = fit(request.raw, settings)
     except Exception as error:  # whatever it is, the next path is another one
         return PathAnswer(request, frame, problem=reason(error))
     return PathAnswer(request, frame, route)
