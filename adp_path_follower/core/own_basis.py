@@ -1,7 +1,5 @@
 """Value bases of a user's own: terms of the error e = [s, y, theta] and their slopes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol
 

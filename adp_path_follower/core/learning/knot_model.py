@@ -8,8 +8,6 @@ With V(e, s_p) = w(s_p)^T sigma(e), and w linear between knots h apart, that of 
 f is affine in kappa and v_des, so what is prepared once serves every knot of every path.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import operator
@@ -36,7 +34,7 @@ class NormalEquations:
     offset: float  # sum_j c_j r_j^2
     running_cost: float  # sum_j c_j (e^T Q e + u^T R u)^2, the residual's measure
 
-    def __add__(self, other: NormalEquations) -> NormalEquations:
+    def __add__(self, other: "NormalEquations") -> "NormalEquations":
         """Return the sums over the samples of both."""
         return NormalEquations(*map(operator.add, vars(self).values(), vars(other).values()))
 

@@ -43,7 +43,6 @@ class KnotWeights:
         profile: SpeedProfile,
         robots: int = 1,
     ) -> None:
-        """Lay the knots along a path, for a number of robots."""
         learning = settings.learning
         self._learning, self._path, self._riccati = learning, path, riccati
         self._profile = profile

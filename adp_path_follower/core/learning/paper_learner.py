@@ -33,7 +33,6 @@ class SampledModel:
     """The model of the error dynamics at a grid of sampled states, for Bellman extrapolation."""
 
     def __init__(self, settings: Settings, path: Path, profile: SpeedProfile | None = None) -> None:
-        """Prepare the terms without weights at each of N samples."""
         basis = settings.learning.value_basis
         self.states = sample_grid(
             settings.learning.sample_half_widths, settings.learning.samples_per_axis

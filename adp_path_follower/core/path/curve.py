@@ -17,9 +17,7 @@ from adp_path_follower.core.geometry import FloatArray, components, contiguous, 
 from adp_path_follower.core.path.points import chord_spline, distinct_points, in_blocks, joined
 
 if TYPE_CHECKING:
-    # Imported where paths are made: it takes as long as rclpy, and the controller's start does not
-    # wait for it, as another process makes its paths.
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import CubicSpline  # imported where paths are made, as in `points`
 
 _DEGREE = 5  # of the pieces: curvature is then twice differentiable
 _PIECE = 0.05  # [m]

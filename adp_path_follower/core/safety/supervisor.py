@@ -1,7 +1,5 @@
 """Decides whether the robot may move; if not, gives cause and remedy."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum
@@ -87,7 +85,7 @@ class Supervisor:
         self._place: tuple[float, float] | None = None  # where it last made progress, and when
         self._since = 0.0
 
-    def renewed(self) -> Supervisor:
+    def renewed(self) -> "Supervisor":
         """Return a supervisor without path and odometry that keeps the causes to `resume`."""
         other = Supervisor(self.odom_timeout)
         other._stopped, other.deviation = self._stopped, self.deviation

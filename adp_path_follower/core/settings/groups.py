@@ -1,7 +1,5 @@
 """The controller's settings: the one place that names, types, bounds and explains them."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass
@@ -347,7 +345,7 @@ class Settings:
         """Return the half-widths of the region of sampled s, y [m] and theta [rad], (3,)."""
         return np.array(self.learning.sample_half_widths[:3]) * [self.stretch, self.stretch, 1.0]
 
-    def with_changes(self, **changes: object) -> Settings:
+    def with_changes(self, **changes: object) -> "Settings":
         """Return settings with some values changed, checked like those of a file.
 
         Example: `settings.with_changes(desired_speed=0.3, max_linear_vel=0.6)`.

@@ -1,7 +1,5 @@
 """The controller node: odometry and path in, velocity commands out."""
 
-from __future__ import annotations
-
 import math
 import time as steady
 from collections.abc import Callable

@@ -6,8 +6,6 @@ It is a fork of the node before that has threads, and imports scipy's splines wh
 One that replaces it is a new Python: a fork would have the locks of the node's threads.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os
@@ -70,7 +68,7 @@ class FittingProcess:
         self._starting = threading.Lock()  # so that none is started when all is over
         self._start(ForkContext())
 
-    def __enter__(self) -> FittingProcess:
+    def __enter__(self) -> "FittingProcess":
         """Return the running process."""
         return self
 

@@ -5,8 +5,6 @@ level, as those between a path and odometry are. The latest transform of each pa
 is at the time of the odometry would be known only later.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import math
