@@ -54,7 +54,7 @@ class SampledModel:
         self._policy = np.ascontiguousarray(policy.reshape(2 * count, size).T)  # u = Wa @ policy
         error = self.states[:, :3]
         self._state_cost = np.einsum("ni,ij,nj->n", error, settings.cost.state_cost_matrix(), error)
-        self._input_cost = settings.cost.input_cost_matrix()
+        self._input_cost = settings.cost.input_cost_matrix().tolist()
 
     def __len__(self) -> int:
         """Return the number of samples N."""
@@ -73,9 +73,9 @@ class SampledModel:
             + linear[..., None] * self._input_regressor[0]
             + angular[..., None] * self._input_regressor[1]
         )
-        cost = self._input_cost
-        running_cost = self._state_cost + linear * (cost[0, 0] * linear + cost[0, 1] * angular)
-        running_cost = running_cost + angular * (cost[1, 0] * linear + cost[1, 1] * angular)
+        (vv, vw), (wv, ww) = self._input_cost
+        running_cost = self._state_cost + linear * (vv * linear + vw * angular)
+        running_cost = running_cost + angular * (wv * linear + ww * angular)
         return bellman_errors(critic_weights, regressor, running_cost)
 
 

@@ -9,6 +9,7 @@ z^2 / 2): the same to second order, and never beyond it. So it cannot diverge, a
 symmetric solve. The actor's law is a first-order lag, solved exactly.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -73,9 +74,14 @@ def relax(rate: FloatArray, descent: FloatArray, dt: float) -> FloatArray:
     """
     # The step is dt N(z) descent with N(z) = (1 - 1 / (1 + z + z^2/2)) / z = Re + Im of
     # 1 / (z + 1 - i): one complex solve, without squaring the matrix and its condition.
-    matrix = dt * rate + (1.0 - 1.0j) * np.eye(rate.shape[-1])
-    solution = _solve(matrix, descent)
+    solution = _solve(dt * rate + _shift(rate.shape[-1]), descent)
     return np.asarray(dt * (solution.real + solution.imag))
+
+
+@functools.cache  # to make it takes as long as to solve with it
+def _shift(size: int) -> np.ndarray:
+    """Return 1 - i times the unit matrix."""
+    return (1.0 - 1.0j) * np.eye(size)
 
 
 def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
