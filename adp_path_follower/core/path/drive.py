@@ -47,14 +47,6 @@ class _Anchors:
     carried: np.ndarray  # whether the robot was put elsewhere since the anchor before, shape (A,)
 
 
-@dataclass(frozen=True)
-class _Candidates:
-    """Places that one anchor may have."""
-
-    arc_length: FloatArray  # shape (K,) [m], on a closed path within the first lap
-    cost: FloatArray  # squared distance and heading error, shape (K,) [m²]
-
-
 def project(
     path: Path,
     poses: FloatArray,
@@ -140,25 +132,25 @@ def _anchors(poses: FloatArray, driven: FloatArray) -> _Anchors:
 
 def _assigned(path: Path, poses: FloatArray, anchors: _Anchors) -> FloatArray:
     """Return the place of each anchor [m], shape (A,); it goes on over the laps."""
-    found = _candidates(path, poses[anchors.index])
-    total = found[0].cost + _EARLY * found[0].arc_length / path.length
+    candidates, own = zip(*_candidates(path, poses[anchors.index]), strict=True)
+    total = own[0] + _EARLY * candidates[0] / path.length
     sources: list[np.ndarray] = []
-    for number in range(1, len(found)):
-        moved = found[number].arc_length - found[number - 1].arc_length[:, None]
+    for number in range(1, len(own)):
+        moved = candidates[number] - candidates[number - 1][:, None]
         if path.closed:
             moved = _shortest(moved, path.length)
         free = bool(anchors.carried[number])
         costs = total[:, None] + _moving_cost(moved, float(anchors.way[number]), free)
         source = np.argmin(costs, axis=0)
         sources.append(source)
-        total = costs[source, np.arange(len(source))] + found[number].cost
+        total = costs[source, np.arange(len(source))] + own[number]
     best = int(np.argmin(total))
     chain = [best]
     for source in reversed(sources):
         best = int(source[best])
         chain.append(best)
     chain.reverse()
-    places = np.array([part.arc_length[at] for part, at in zip(found, chain, strict=True)])
+    places = np.array([part[at] for part, at in zip(candidates, chain, strict=True)])
     if not path.closed:
         return places
     steps = np.diff(places)
@@ -166,8 +158,8 @@ def _assigned(path: Path, poses: FloatArray, anchors: _Anchors) -> FloatArray:
     return np.asarray(places[0] + np.concatenate([[0.0], ahead]))
 
 
-def _candidates(path: Path, poses: FloatArray) -> list[_Candidates]:
-    """Return the places of least distance for each of poses (A, 3)."""
+def _candidates(path: Path, poses: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Return for each of poses (A, 3) places of least distance [m] and their costs [m²], (K,)."""
     samples = path.samples
     last = len(samples.arc_length) - 1  # which is the first once more, if the path is closed
     thinned = np.arange(0, last, max(1, math.floor(_COARSE / (path.length / last))))
@@ -190,7 +182,7 @@ def _candidates(path: Path, poses: FloatArray) -> list[_Candidates]:
 
 def _near_enough(
     path: Path, pose: FloatArray, squared: FloatArray, index: np.ndarray, column: np.ndarray
-) -> _Candidates:
+) -> tuple[FloatArray, FloatArray]:
     """Return the candidates of one pose that are not much farther away than the nearest."""
     distance = np.sqrt(squared[column])
     order = np.argsort(distance, kind="stable")[:_MOST_CANDIDATES]
@@ -206,7 +198,7 @@ def _near_enough(
     if not path.closed:
         arc_length = np.clip(arc_length, 0.0, path.length)
     agreement = samples.cos[index] * math.cos(pose[2]) + samples.sin[index] * math.sin(pose[2])
-    return _Candidates(arc_length, np.maximum(rest, 0.0) + _HEADING * (1.0 - agreement))
+    return arc_length, np.maximum(rest, 0.0) + _HEADING * (1.0 - agreement)
 
 
 def _shortest(moved: FloatArray, lap: float) -> FloatArray:

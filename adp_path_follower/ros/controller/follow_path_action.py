@@ -71,7 +71,7 @@ class FollowPathAction:
         self._followed = node.create_publisher(PathMessage, "~/goal_path", LATCHED)
         self._server = _Server(
             *(node, FollowPath, "follow_path"),
-            execute_callback=_never,
+            execute_callback=lambda _: None,  # is never called, but rclpy asks for one
             goal_callback=self._wanted,
             handle_accepted_callback=self._begin,
             cancel_callback=self._cancel,
@@ -254,7 +254,3 @@ class _Server(ActionServer):
             change()
         else:
             super().notify_execute(goal, finish)
-
-
-def _never(goal: Any) -> None:
-    """Stand for the callback that rclpy asks for."""
