@@ -149,8 +149,7 @@ def _report(
     from adp_path_follower.bags.reader import read_run
     from adp_path_follower.drawing.run_figures import draw_figures
     from adp_path_follower.study.optimum.reference import is_paper_problem, paper_optimum
-    from adp_path_follower.study.replay.figures import view_of_replay
-    from adp_path_follower.study.replay.replay import replay
+    from adp_path_follower.study.replay.replay import replay, view_of_replay
 
     click.echo("analysing the bag and repeating the run")
     page = directory / "report.html"

@@ -40,8 +40,9 @@ from sim_unicycle.settings import SimulatorSettings
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.optimum.collocation import Optimum
-    from adp_path_follower.study.optimum.problem import Ways
+    from adp_path_follower.study.optimum.problem import Motion
 
+_DRAWN = ("s [m]", "y [m]", "θ [rad]", "v_e [m/s]", "ω_e [rad/s]")
 _AGREEMENT = 1e-5  # relative difference between collocation and costates
 
 
@@ -127,7 +128,7 @@ def optimum(
         for index, start in enumerate(errors):
             found, check_cost, problem = None, None, ""
             try:
-                found = solver.solve(start, ways.motions(index))
+                found = solver.solve(start, ways[index])
                 problem = _unsettled(found, start)
                 check_cost = solve_costates(solver.problem, found.motion).cost if check else None
                 problem = problem or _disagreement(found, check_cost, start)
@@ -145,13 +146,14 @@ def optimum(
 
 def _ways(
     settings: Settings, path: Path, errors: FloatArray, start_arc_length: float, horizon: float
-) -> Ways:
-    """Return the controller's own motions from all starts (B, 3), as guesses for the optimum."""
-    from adp_path_follower.study.optimum.problem import Ways
+) -> list[list[Motion]]:
+    """Return the controller's own motion from each start (B, 3), as a guess for the optimum."""
+    from adp_path_follower.study.optimum.problem import motions_of
 
-    ways, known = Ways(len(errors)), np.asarray(np.isfinite(errors).all(axis=1))
-    if known.any():
-        simulate(
+    ways: list[list[Motion]] = [[] for _ in errors]
+    known = np.flatnonzero(np.isfinite(errors).all(axis=1)).tolist()
+    if known:
+        found = simulate(
             without_values(settings) if missing_values(settings) else settings,
             path,
             errors[known],
@@ -159,8 +161,10 @@ def _ways(
             duration=horizon,
             rate=50.0,
             learning="frozen",
-            observe=ways.of_another(known),
+            record=True,
         )
+        for start, motions in zip(known, motions_of(found.trajectories), strict=True):
+            ways[start] = motions
     return ways
 
 
@@ -195,10 +199,17 @@ def _write(
     if npz_file is not None:
         write_npz(npz_file, _arrays(rows))
     if figure_file is not None:
-        from adp_path_follower.study.optimum.figure import draw_optima
+        from adp_path_follower.drawing.figure_style import color
+        from adp_path_follower.drawing.run_figures import draw_over_time
 
+        curves = []
+        for index, motion in enumerate([row.optimum.motion for row in rows if row.optimum]):
+            values = np.column_stack([motion.state[:, :3], motion.modified_input])
+            style = {"marker": "o", "markersize": 3, "linewidth": 1, "color": color(index)}
+            curves.append((motion.time, values, style))
+        title = "Offline optimum (points: collocation)"
         with whole_file(figure_file) as file:
-            draw_optima([row.optimum.motion for row in rows if row.optimum], file)
+            draw_over_time(file, title, _DRAWN, curves, until=15.0)  # [s]: later all is at rest
 
 
 def _table(rows: list[_Row], check: bool) -> str:

@@ -107,6 +107,33 @@ class ShownRun:
     events: tuple[Event, ...] = ()
 
 
+@dataclass(frozen=True)
+class ReferenceMotion:
+    """An optimal motion that a run is compared with."""
+
+    cost: float  # J*
+    time: FloatArray  # shape (N,) [s]
+    error: FloatArray  # e = [s, y, theta], shape (N, 3)
+    modified_input: FloatArray  # u = [v_e, w_e], shape (N, 2)
+    position: FloatArray | None = None  # x, y in the world [m], shape (N, 2), where it is known
+
+
+@dataclass(frozen=True)
+class RunView:
+    """The data of one run that the figures show."""
+
+    time: FloatArray  # time of each control step [s], shape (T,)
+    path: FloatArray  # positions along the path, shape (P, 2)
+    track: FloatArray  # x, y, theta of the robot, shape (T, 3)
+    target: FloatArray  # x, y of the virtual target, shape (T, 2)
+    error: FloatArray  # e, shape (T, 3)
+    modified_input: FloatArray  # u, shape (T, 2)
+    weight_time: FloatArray  # time of each row of the weights [s], shape (W,)
+    critic_weights: FloatArray  # shape (W, L)
+    actor_weights: FloatArray  # shape (W, L)
+    labels: tuple[str, ...]  # names of the terms of the basis, length L
+
+
 def curve_numbers(panels: Sequence[Panel]) -> dict[str, int]:
     """Return the number of each named curve: curves of one name have one colour in all panels."""
     shared = [panel for panel in panels if len(panel.lines) > 1]

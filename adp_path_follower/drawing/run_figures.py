@@ -1,7 +1,7 @@
 """Pictures that matplotlib draws: the paper's figures 2 to 5, and quick looks at results."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.drawing.charts import Track, extremes
+from adp_path_follower.drawing.charts import ReferenceMotion, RunView, Track, extremes
 from adp_path_follower.drawing.figure_style import COLORS, STYLE
 
 _POINTS = 2000  # of a curve
@@ -52,6 +52,37 @@ def _figure(courses: Sequence[Course]) -> Figure:
     return figure
 
 
+def draw_over_time(
+    file: FilePath,
+    title: str,
+    labels: Sequence[str],
+    curves: Sequence[tuple[FloatArray, FloatArray, dict[str, Any]]],
+    until: float = math.inf,
+) -> None:
+    """Draw curves over time until a time [s], each column in a panel of its own.
+
+    A curve has times [s] (N,), values (N, number of labels), and how matplotlib draws it.
+    """
+
+    def draw() -> Figure:
+        figure = Figure(figsize=(9.0, 3.0 + 0.9 * len(labels)))
+        panels = figure.subplots(len(labels), 1, sharex=True)
+        for time, values, style in curves:
+            for axes, column in zip(panels, values.T, strict=True):
+                axes.plot(time, column, **style)
+        for axes, label in zip(panels, labels, strict=True):
+            axes.set_ylabel(label)
+        panels[0].set_title(title)
+        if panels[0].get_legend_handles_labels()[1]:
+            panels[0].legend()
+        end = max((float(time[-1]) for time, *_ in curves), default=until)
+        panels[-1].set(xlabel="time [s]", xlim=(0.0, min(until, end)))
+        figure.tight_layout()
+        return figure
+
+    save_figures({file.name: draw}, file.parent)
+
+
 def plotted(draw: Callable[[Axes], None], axes: Axes | None) -> Axes:
     """Draw on axes, or on those of a new figure of pyplot; return them."""
     if axes is None:  # outside the context, which would undo that notebooks show its figures
@@ -86,33 +117,6 @@ _EARLY = 15.0  # [s] that the left panels show
 # A legend below its axes, as a path may lie anywhere in them.
 _BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "ncols": 2}
 _START = 8.0  # [s] that the close-up of the path shows
-
-
-@dataclass(frozen=True)
-class ReferenceMotion:
-    """An optimal motion that a run is compared with."""
-
-    cost: float  # J*
-    time: FloatArray  # shape (N,) [s]
-    error: FloatArray  # e = [s, y, theta], shape (N, 3)
-    modified_input: FloatArray  # u = [v_e, w_e], shape (N, 2)
-    position: FloatArray | None = None  # x, y in the world [m], shape (N, 2), where it is known
-
-
-@dataclass(frozen=True)
-class RunView:
-    """The data of one run that the figures show."""
-
-    time: FloatArray  # time of each control step [s], shape (T,)
-    path: FloatArray  # positions along the path, shape (P, 2)
-    track: FloatArray  # x, y, theta of the robot, shape (T, 3)
-    target: FloatArray  # x, y of the virtual target, shape (T, 2)
-    error: FloatArray  # e, shape (T, 3)
-    modified_input: FloatArray  # u, shape (T, 2)
-    weight_time: FloatArray  # time of each row of the weights [s], shape (W,)
-    critic_weights: FloatArray  # shape (W, L)
-    actor_weights: FloatArray  # shape (W, L)
-    labels: tuple[str, ...]  # names of the terms of the basis, length L
 
 
 def draw_figures(

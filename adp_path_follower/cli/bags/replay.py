@@ -186,10 +186,14 @@ def _write_comparison(
         with whole_file(csv_file) as file:
             np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.17g")
     if figure_file is not None:
-        from adp_path_follower.study.replay.figures import draw_replay
+        from adp_path_follower.drawing.figure_style import COLORS
+        from adp_path_follower.drawing.run_figures import draw_over_time
 
+        recorded = found.time, found.recorded, {"color": "0.6", "linewidth": 3, "label": "recorded"}
+        replayed = found.time, found.replayed, {"color": COLORS[1], "label": "replayed"}
+        title, labels = "Commands to the recorded odometry", ("v [m/s]", "ω [rad/s]")
         with whole_file(figure_file) as file:
-            draw_replay(found, file)
+            draw_over_time(file, title, labels, [recorded, replayed])
 
 
 def _write_report(

@@ -19,7 +19,7 @@ from adp_path_follower.core.settings.schema import update
 from adp_path_follower.drawing.charts import ShownRun
 from adp_path_follower.study.comparison.controllers import RATE, Contender, contenders
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
-from adp_path_follower.study.optimum.problem import OptimumError, Ways
+from adp_path_follower.study.optimum.problem import Motion, OptimumError, motions_of
 from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
 from sim_unicycle.fault_script import FaultScript
@@ -161,14 +161,15 @@ def compare(
                 "limits of acceleration: derive it from PeerController, or set all max_*_accel, "
                 "max_linear_decel and desired_speed so that there are none"
             )
-    parts, lap = len(chosen) + 1, _lap(path, start_arc_length, reference)
-    ways = Ways(len(starts))
+    count, among, lap = len(starts), len(chosen), _lap(path, start_arc_length, reference)
+    ways: list[list[Motion]] = [[] for _ in starts]
     outcomes = []
+
+    def part(first: int, length: int = 1) -> Callable[[float], None]:
+        """Return what takes the fraction of some parts: two for each controller and the optima."""
+        return lambda done: progress((first + length * done) / (2 * among + 2))
+
     for index, item in enumerate(chosen):
-
-        def advance(part: float, done: int = index) -> None:
-            progress((done + part) / parts)
-
         run = functools.partial(
             simulate,
             item.settings,
@@ -179,16 +180,18 @@ def compare(
             plant=plant,
             faults=faults,
             controller=item.factory,
+            record=True,
         )
-        observed = functools.partial(run, observe=ways.of_another(known))
-        found = _outcome(item, observed, run, path, starts, duration, lap, len(chosen), advance)
-        outcomes.append(found)
+        many = run(starts[known], duration=duration, progress=part(2 * index))
+        single = run(duration=lap, progress=part(2 * index + 1))
+        outcomes.append(_outcome(item, path, known, many, single, among))
+        for start, motions in zip(
+            np.flatnonzero(known), motions_of(many.trajectories), strict=True
+        ):
+            ways[start] += motions
     pushed = any(robot.push) or (faults is not None and faults.entries)  # which may help
-    costs = np.zeros((0, len(starts))) if pushed else np.array([item.cost for item in outcomes])
-    optima, problems = _optima(
-        *(solver, starts, ways, costs),
-        lambda part: progress((len(chosen) + part) / parts),
-    )
+    costs = np.zeros((0, count)) if pushed else np.array([item.cost for item in outcomes])
+    optima, problems = _optima(solver, starts, ways, costs, part(2 * among, 2))
     optimal = np.array([math.nan if optimum is None else optimum.cost for optimum in optima])
     rated = tuple(
         replace(found, cost_ratio=np.where(found.failed, math.nan, found.cost / optimal))
@@ -210,7 +213,7 @@ def _lap(path: Path, start_arc_length: float, reference: SpeedReference) -> floa
 def _optima(
     solver: OptimumSolver,
     starts: FloatArray,
-    ways: Ways,
+    ways: Sequence[Sequence[Motion]],
     costs: FloatArray,
     progress: Callable[[float], None],
 ) -> tuple[list[Optimum | None], list[str]]:
@@ -222,7 +225,7 @@ def _optima(
     problems = []
     for index, start in enumerate(starts):
         try:
-            optimum = solver.solve(start, ways.motions(index))
+            optimum = solver.solve(start, ways[index])
             least = float(np.nanmin(costs[:, index], initial=math.inf))
             doubt = max(_AGREEMENT, optimum.mesh_change)
             if least < optimum.cost * (1.0 - doubt) - _AGREEMENT:
@@ -257,44 +260,37 @@ def _notes(
 
 def _outcome(
     item: Contender,
-    from_starts: Callable[..., SimulationResult],
-    on_a_lap: Callable[..., SimulationResult],
     path: Path,
-    starts: FloatArray,
-    duration: float,
-    lap: float,
+    known: np.ndarray,
+    many: SimulationResult,
+    single: SimulationResult,
     among: int,
-    progress: Callable[[float], None],
 ) -> Outcome:
-    """Return how a controller did, without J/J*."""
-    known = np.isfinite(starts).all(axis=1)
+    """Return how a controller did from the known starts (B,) and on a lap, without J/J*."""
 
     def of_all(values: FloatArray) -> FloatArray:
         """Return values of the starts that could be run as values of all, NaN for the others."""
-        every = np.full(len(starts), math.nan)
+        every = np.full(len(known), math.nan)
         every[known] = values
         return every
 
-    many = from_starts(
-        starts=starts[known], duration=duration, progress=lambda part: progress(0.5 * part)
-    )
-    single = on_a_lap(duration=lap, record=True, progress=lambda part: progress(0.5 + 0.5 * part))
-    assert single.trajectories is not None  # record=True
-    counted = single.trajectories.time >= criteria.TRANSIENT
+    lap = single.trajectories
+    assert lap is not None  # record=True
+    counted = lap.time >= criteria.TRANSIENT
     if not path.closed:
-        counted &= single.trajectories.arc_length[0] <= path.length
+        counted &= lap.arc_length[0] <= path.length
     off_path = criteria.is_off_path(many.final_error[:, 1])
-    failed = np.zeros(len(starts), dtype=bool)
+    failed = np.zeros(len(known), dtype=bool)
     failed[known] = many.failed | off_path | ~np.isfinite(many.cost)
     return Outcome(
         name=item.name,
-        cost_ratio=np.full(len(starts), math.nan),
+        cost_ratio=np.full(len(known), math.nan),
         cost=of_all(many.cost),
         failed=failed,
         settling_time=of_all(many.settling_time),
         effort=of_all(many.effort),
-        lap_time=single.trajectories.time[counted],
-        cross_track=project(path, single.trajectories.pose[0]).cross_track[counted],
+        lap_time=lap.time[counted],
+        cross_track=project(path, lap.pose[0]).cross_track[counted],
         step_time=single.step_time,
-        lap=shown_run(item.name, path, item.settings, single.trajectories, among=among),
+        lap=shown_run(item.name, path, item.settings, lap, among=among),
     )

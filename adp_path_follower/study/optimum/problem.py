@@ -14,7 +14,6 @@ import numpy as np
 
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.actuation import limited_command
-from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.policy import within
 from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.errors import AdpError
@@ -23,7 +22,7 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import passing_times, speed_from_rest
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import Library
-from adp_path_follower.study.simulation.simulate import Observer
+from adp_path_follower.study.simulation.trajectories import Trajectories
 from sim_unicycle.settings import PlantSettings
 
 casadi = Library("casadi", "the offline optimum", "optimum")
@@ -270,34 +269,19 @@ def _windings(start: FloatArray) -> list[FloatArray]:
     return [np.array([start[0], start[1], turn]) for turn in turns]
 
 
-class Ways:
-    """The motions of all controllers from each start: guesses for the optimum."""
+def motions_of(runs: Trajectories | None) -> list[list[Motion]]:
+    """Return the motion of each recorded run as a guess for the optimum; none of one that is lost.
 
-    def __init__(self, starts: int) -> None:
-        """Expect runs from so many starts."""
-        self._steps: list[list[list[FloatArray]]] = [[] for _ in range(starts)]
-
-    def of_another(self, known: np.ndarray) -> Observer:
-        """Return what takes down the runs of another controller from the known starts (B,)."""
-        numbers = np.flatnonzero(known)
-        for steps in self._steps:
-            steps.append([])
-
-        def observe(runs: slice, time: float, pose: FloatArray, output: ControlOutput) -> None:
-            times, arc_length = np.full((len(pose), 1), time), output.arc_length[:, None]
-            rows = np.hstack([times, output.error, arc_length, output.modified_input])
-            for number, row in zip(numbers[runs].tolist(), rows, strict=True):
-                self._steps[number][-1].append(row)
-
-        return observe
-
-    def motions(self, start: int) -> list[Motion]:
-        """Return the motions from a start, without those that were lost."""
-        found = []
-        for steps in self._steps[start]:
-            rows = np.array(steps)
-            if len(rows) and np.isfinite(rows).all():
-                state, heading = rows[:, 1:5].copy(), np.unwrap(rows[:, 3])
-                state[:, 2] = heading - 2.0 * math.pi * round(heading[-1] / (2.0 * math.pi))
-                found.append(Motion(math.inf, rows[:, 0], state, rows[:, 5:]))
-        return found
+    The heading error ends within half a turn of 0.
+    """
+    assert runs is not None  # simulated with record=True
+    found: list[list[Motion]] = []
+    for error, place, inputs in zip(runs.error, runs.arc_length, runs.modified_input, strict=True):
+        state = np.column_stack([error, place])
+        if np.isfinite(state).all() and np.isfinite(inputs).all():
+            heading = np.unwrap(error[:, 2])
+            state[:, 2] = heading - 2.0 * math.pi * round(heading[-1] / (2.0 * math.pi))
+            found.append([Motion(math.inf, runs.time, state, inputs)])
+        else:
+            found.append([])
+    return found

@@ -14,7 +14,7 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.path.speed_profile import SpeedProfile, speed_from_rest
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.drawing.run_figures import ReferenceMotion
+from adp_path_follower.drawing.charts import ReferenceMotion
 from adp_path_follower.resources import FORTY_STARTS
 from adp_path_follower.study.simulation.simulate import PAPER_START
 

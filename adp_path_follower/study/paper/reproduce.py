@@ -22,13 +22,9 @@ from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import update
+from adp_path_follower.drawing.charts import ReferenceMotion, RunView
 from adp_path_follower.drawing.figure_style import COLORS
-from adp_path_follower.drawing.run_figures import (
-    ReferenceMotion,
-    RunView,
-    draw_figures,
-    save_figures,
-)
+from adp_path_follower.drawing.run_figures import draw_figures, save_figures
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.optimum.collocation import OptimumSolver
 from adp_path_follower.study.optimum.costate import solve_costates
@@ -215,8 +211,19 @@ def _theorem(run: PaperRun, path: Path, progress: Callable[[float], None]) -> Th
 
 def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
     """Draw figures 2 to 5 of the shipped grid, the long run and the theorem; return the files."""
-    labels = found.shipped.settings.learning.value_basis.labels
-    view = view_of_simulation(found.shipped.trajectories, 0, found.path, labels)
+    labels, run = found.shipped.settings.learning.value_basis.labels, found.shipped.trajectories
+    view = RunView(
+        time=run.time,
+        path=found.path.points(0.05)[:, :2],
+        track=run.pose[0],
+        target=found.path.frame(run.arc_length[0]).pose[:, :2],
+        error=run.error[0],
+        modified_input=run.modified_input[0],
+        weight_time=run.time,
+        critic_weights=run.critic_weights[0],
+        actor_weights=run.actor_weights[0],
+        labels=labels,
+    )
     files = draw_figures(view, directory, _thinned(found.optimum))
     drawings = {
         "long_run.png": lambda: _long_run(found.long_runs, labels),
@@ -308,21 +315,3 @@ def _panel(title: str) -> tuple[Figure, Axes]:
     axes = figure.subplots()
     axes.set_title(title)
     return figure, axes
-
-
-def view_of_simulation(
-    trajectories: Trajectories, run: int, path: Path, labels: tuple[str, ...]
-) -> RunView:
-    """Return the view of one run of a simulation."""
-    return RunView(
-        time=trajectories.time,
-        path=path.points(0.05)[:, :2],
-        track=trajectories.pose[run],
-        target=path.frame(trajectories.arc_length[run]).pose[:, :2],
-        error=trajectories.error[run],
-        modified_input=trajectories.modified_input[run],
-        weight_time=trajectories.time,
-        critic_weights=trajectories.critic_weights[run],
-        actor_weights=trajectories.actor_weights[run],
-        labels=labels,
-    )

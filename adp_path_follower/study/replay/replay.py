@@ -13,6 +13,7 @@ from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.drawing.charts import RunView
 from adp_path_follower.study.replay.recorded_driver import RecordedDriver, recorded_settings
 from sim_unicycle.settings import PlantSettings
 from sim_unicycle.unicycle import Unicycle
@@ -208,6 +209,30 @@ def rerun(
     steps = Steps(stamp_array, np.array(poses), arrival, motion)
     nothing = np.full((count, 2), np.nan)
     return Replay.by(driver, steps, nothing), np.array(velocities)
+
+
+def view_of_replay(run: Run, replay: Replay) -> RunView:
+    """Return the view of a recorded run: its weights as recorded, the rest as replayed."""
+    start, time = replay.stamp[0], replay.time
+    nothing = Series(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
+    critic = run.series.get("critic_weights", nothing)
+    actor = run.series.get("actor_weights", nothing)
+    count = min(len(critic.stamp), len(actor.stamp))
+    # Weights carry no stamp. With one message for each step they belong to the steps in order;
+    # else the time of their arrival, which lags, must do.
+    every_step = count == len(time)
+    return RunView(
+        time=time,
+        path=replay.follower.path.points(0.05)[:, :2],
+        track=replay.pose,
+        target=np.array([output.target_pose[:2] for output in replay.outputs]),
+        error=np.array([output.error for output in replay.outputs]),
+        modified_input=np.array([output.modified_input for output in replay.outputs]),
+        weight_time=time if every_step else (critic.stamp[:count] - start) * 1e-9,
+        critic_weights=critic.values[:count],
+        actor_weights=actor.values[:count],
+        labels=critic.labels,
+    )
 
 
 @dataclass(frozen=True)
