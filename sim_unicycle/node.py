@@ -3,10 +3,11 @@
 import math
 import time as steady
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import TransformStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -19,6 +20,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.ros.runtime.conversions import (
     NANOSECONDS,
     odometry_message,
+    quaternion_of,
     stamp_nanoseconds,
 )
 from adp_path_follower.ros.runtime.parameters import LiveSettings, declare_settings
@@ -27,8 +29,7 @@ from adp_path_follower.ros.runtime.run import Ending, run_node
 from adp_path_follower.ros.runtime.services import trigger_services
 from sim_unicycle.fault_script import read_fault_script
 from sim_unicycle.odometry import Reading
-from sim_unicycle.settings import SimulatorSettings, with_robot
-from sim_unicycle.transforms import Transforms
+from sim_unicycle.settings import FrameSettings, SimulatorSettings, with_robot
 from sim_unicycle.unicycle import Unicycle
 
 NODE_NAME = "unicycle_sim"
@@ -38,6 +39,7 @@ _DELIVERY_TIMEOUT = 5.0  # [s]
 _RESEND_PERIOD = 0.1  # [s], steady: how long lock-step waits before it repeats its odometry
 _REMINDER = 5.0  # [s], steady: how long it waits before it tells the user
 _SILENT_STEPS = 100  # without odometry, that lock-step takes at once
+_TF_DEPTH = 100
 _ZERO = np.zeros(2)
 
 
@@ -239,6 +241,45 @@ class SimulatorNode(Ending, Node):
         for message in self._odometry_messages:
             self._transforms.publish(message, self._frames, elapsed)
             self._odometry.publish(message)
+
+
+class Transforms:
+    """Publishes map → odom and odom → base on /tf, where `tf2_msgs` is installed."""
+
+    def __init__(self, node: Node, wanted: bool) -> None:
+        """Create the publisher, if it is wanted and possible."""
+        self._publisher: Any = None
+        if not wanted:
+            return
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            return
+        self._message = TFMessage
+        self._publisher = node.create_publisher(TFMessage, "/tf", _TF_DEPTH)
+
+    def publish(self, odometry: Odometry, settings: FrameSettings, elapsed: float) -> None:
+        """Publish the transforms that belong to odometry, a time [s] after the start."""
+        if self._publisher is None:
+            return
+        robot = TransformStamped(header=odometry.header, child_frame_id=odometry.child_frame_id)
+        place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+        robot.transform.translation.x, robot.transform.translation.y = place.x, place.y
+        robot.transform.rotation = turn
+        found = [robot]
+        if settings.map_frame:
+            found.append(_map(odometry, settings, elapsed))
+        self._publisher.publish(self._message(transforms=found))
+
+
+def _map(odometry: Odometry, settings: FrameSettings, elapsed: float) -> TransformStamped:
+    """Return the place of odometry's frame in the map, a time [s] after the start."""
+    place = np.array(settings.map_offset) + elapsed * np.array(settings.map_drift)
+    found = TransformStamped(child_frame_id=odometry.header.frame_id)
+    found.header.stamp, found.header.frame_id = odometry.header.stamp, settings.map_frame
+    found.transform.translation.x, found.transform.translation.y = place[:2].tolist()
+    found.transform.rotation = quaternion_of(float(place[2]))
+    return found
 
 
 def main() -> int:

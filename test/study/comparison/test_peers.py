@@ -31,7 +31,7 @@ from adp_path_follower.study.comparison.peers.lapierre_soetanto import (
 )
 from adp_path_follower.study.comparison.peers.lqr import Lqr
 from adp_path_follower.study.comparison.peers.pure_pursuit import PurePursuit, RegulatedPurePursuit
-from adp_path_follower.study.comparison.peers.stanley import Stanley, StanleyGains, TunedStanley
+from adp_path_follower.study.comparison.peers.stanley import Stanley, TunedStanley
 from folders import DATA, ROOT
 
 try:
@@ -207,7 +207,7 @@ def test_regulated_pure_pursuit_slows_down_in_turns(curvature, speed):
 
 def test_regulated_pure_pursuit_looks_ahead_by_speed():
     controller = RegulatedPurePursuit(SETTINGS, PATHS["line"], np.zeros(1))
-    controller.rules = pure_pursuit.RegulationRules(use_velocity_scaled_lookahead_dist=True)
+    controller.use_velocity_scaled_lookahead_dist = True
     assert controller.lookahead(np.array([0.0, 0.4, -0.5, 2.0])) == pytest.approx(
         [0.3, 0.6, 0.75, 0.9]
     )
@@ -224,11 +224,10 @@ def test_regulated_pure_pursuit_turns_in_place_with_bounded_acceleration():
 
 
 def test_stanley_steers_by_its_law():
-    gains = StanleyGains()
     speed, pose = SETTINGS.target.desired_speed, np.array([[5.0, 0.1, -0.2]])
-    front = 0.1 + gains.wheelbase * math.sin(-0.2)
-    steering = 0.2 - math.atan(gains.position_gain * front / speed)
-    expected = speed * math.tan(steering) / gains.wheelbase
+    front = 0.1 + Stanley.wheelbase * math.sin(-0.2)
+    steering = 0.2 - math.atan(Stanley.position_gain * front / speed)
+    expected = speed * math.tan(steering) / Stanley.wheelbase
     output = Stanley(SETTINGS, PATHS["line"], np.array([5.0])).step(pose, 0.0)
     assert output.command[0] == pytest.approx([speed, expected])
 
@@ -245,11 +244,11 @@ def test_tuned_stanley_keeps_a_robot_on_a_circle():
     assert output.modified_input[0] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
-def lyapunov(gains, error):
+def lyapunov(law, error):
     """Return V of errors (..., 3), shape (...)."""
     s, y, theta = np.moveaxis(error, -1, 0)
-    miss = theta + gains.approach_angle * np.tanh(gains.approach_gain * y)
-    return 0.5 * (s * s + y * y) + 0.5 * miss * miss / gains.coupling
+    miss = theta + law.approach_angle * np.tanh(law.approach_gain * y)
+    return 0.5 * (s * s + y * y) + 0.5 * miss * miss / law.coupling
 
 
 @pytest.mark.parametrize("law", [LapierreSoetanto, TunedLapierreSoetanto])
@@ -258,20 +257,20 @@ def test_lapierre_soetanto_lets_its_lyapunov_function_decrease(law):
     # v = v_des - k s takes energy out of s while v > 0 and |theta| < pi / 2.
     starts = rng.uniform(-1.0, 1.0, (200, 3)) * [0.45, 1.0, 1.4]
     pose = pose_in_frame(starts, path.frame(np.zeros(200)).pose)
-    controller, gains = law(SETTINGS, path, np.zeros(200)), law.gains
+    controller = law(SETTINGS, path, np.zeros(200))
     output = controller.step(pose, 0.0)
     step = 1e-5
     moved = advance_pose(pose, *output.command.T, step)
     after = controller.step(moved, step).error
-    rate = (lyapunov(gains, after) - lyapunov(gains, output.error)) / step
+    rate = (lyapunov(law, after) - lyapunov(law, output.error)) / step
     assert (rate < 0.0).all()
     if law is LapierreSoetanto:
         s, y, theta = output.error.T
-        approach = -gains.approach_angle * np.tanh(gains.approach_gain * y)
+        approach = -law.approach_angle * np.tanh(law.approach_gain * y)
         expected = (
             -0.1 * s**2
             + y * 0.5 * np.sin(approach)
-            - gains.heading_gain * (theta - approach) ** 2 / gains.coupling
+            - law.heading_gain * (theta - approach) ** 2 / law.coupling
         )
         assert rate == pytest.approx(expected, abs=1e-3)
 

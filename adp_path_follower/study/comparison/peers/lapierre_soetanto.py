@@ -1,7 +1,6 @@
 """The nonlinear law with a virtual target by Lapierre, Soetanto and Pascoal."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,18 +8,6 @@ from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.study.comparison.peers.peer import PeerController
-
-
-@dataclass(frozen=True)
-class LapierreSoetantoGains:
-    """Numbers of the law."""
-
-    # Heading error wanted far from the path [rad], below pi / 2.
-    approach_angle: float = math.pi / 4.0
-    approach_gain: float = 1.0  # how fast it is reached with the cross-track error [1/m]
-    heading_gain: float = 1.0  # rate at which the heading follows [1/s]
-    coupling: float = 1.0  # gamma, weight of the cross-track error in the turn [1/m^2]
-    speed_gain: float = 0.0  # how much slower a robot drives that is ahead of its target [1/s]
 
 
 class LapierreSoetanto(PeerController):
@@ -37,31 +24,34 @@ class LapierreSoetanto(PeerController):
     out, for v_des is positive. The law leaves the speed open; usual is v = v_des.
     """
 
-    gains = LapierreSoetantoGains()
+    approach_angle = math.pi / 4.0  # heading error wanted far from the path [rad], below pi / 2
+    approach_gain = 1.0  # how fast it is reached with the cross-track error [1/m]
+    heading_gain = 1.0  # rate at which the heading follows [1/s]
+    coupling = 1.0  # gamma, weight of the cross-track error in the turn [1/m^2]
+    speed_gain = 0.0  # how much slower a robot drives that is ahead of its target [1/s]
 
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return the speed and the turn of the law."""
-        gains = self.gains
         s, y, theta = np.moveaxis(error, -1, 0)
-        speed = self.cruising_speed - gains.speed_gain * s
+        speed = self.cruising_speed - self.speed_gain * s
         limits = self.settings.limits
         speed = np.clip(speed, limits.min_linear_vel, limits.max_linear_vel)
         target, v_des = self.settings.target, self.target.v_des
         target_speed = error_dynamics.target_speed(error, target, v_des)
-        level = np.tanh(gains.approach_gain * y)
-        approach = -gains.approach_angle * level
+        level = np.tanh(self.approach_gain * y)
+        approach = -self.approach_angle * level
         y_rate = speed * np.sin(theta) - frame.curvature * s * target_speed
-        slope = -gains.approach_angle * gains.approach_gain * (1.0 - level * level)
+        slope = -self.approach_angle * self.approach_gain * (1.0 - level * level)
         # (sin(theta) - sin(delta)) / (theta - delta), smooth where both are equal.
         half = 0.5 * (theta - approach)
         secant = np.cos(theta - half) * np.sinc(half / math.pi)
         turn = (
             frame.curvature * target_speed
             + slope * y_rate
-            - gains.coupling * y * speed * secant
-            - gains.heading_gain * (theta - approach)
+            - self.coupling * y * speed * secant
+            - self.heading_gain * (theta - approach)
         )
         return np.stack([speed, turn], axis=-1)
 
@@ -73,4 +63,5 @@ class TunedLapierreSoetanto(LapierreSoetanto):
     gamma = 0.5, 1, 2 1/m^2.
     """
 
-    gains = LapierreSoetantoGains(coupling=0.5, speed_gain=1.0)
+    coupling = 0.5
+    speed_gain = 1.0

@@ -98,42 +98,33 @@ class _Start:
     reference: SpeedReference  # its speed along the path
 
 
-@functools.lru_cache(maxsize=8)
-def horizon_solver(
-    target: TargetSettings,
-    cost: CostSettings,
-    limits: LimitSettings,
-    motion: MotionSettings,
-) -> HorizonSolver:
-    """Return the solver for these settings, compiled if there is a compiler.
-
-    Median tick per robot on the figure eight at 20 Hz, on one core of a small server: 0.7 ms with
-    sqpmethod and qrqp, compiled (2.7 ms if not), 1.7 to 3.1 ms with IPOPT. The fast one can fail
-    from a guess that is metres away; hence IPOPT, 20 to 50 ms, where there is no good plan to start
-    from.
-    """
-    problem = _transcription(target, cost, motion.limited)
-    fast = casadi.nlpsol("nmpc", "sqpmethod", problem, _SQP)
-    careful = casadi.nlpsol("nmpc", "ipopt", problem, _IPOPT)
-    compiled = _compiled(fast)
-    name = f"sqpmethod, {'not ' * (compiled is None)}compiled"
-    return HorizonSolver(compiled or fast, careful, name, limits, motion)
-
-
 class HorizonSolver:
     """Multiple shooting over the horizon: 30 steps of 0.1 s by RK4, commands held over each.
 
     The decision variables are [s, y, theta, s_p] and the command [v, w], so that limits are plain
     bounds, those of acceleration bounds of differences; curvature and v_des^2 in each step are
     parabolas in s_p, about where the plan that it starts from has the virtual target in that step.
+
+    Median tick per robot on the figure eight at 20 Hz, on one core of a small server: 0.7 ms with
+    sqpmethod and qrqp, compiled (2.7 ms if not), 1.7 to 3.1 ms with IPOPT. The fast one can fail
+    from a guess that is metres away; hence IPOPT, 20 to 50 ms, where there is no good plan to start
+    from.
     """
 
     def __init__(
-        self, fast: Any, careful: Any, name: str, limits: LimitSettings, motion: MotionSettings
+        self,
+        target: TargetSettings,
+        cost: CostSettings,
+        limits: LimitSettings,
+        motion: MotionSettings,
     ) -> None:
-        """Take CasADi's solvers of the transcription."""
-        self._fast, self._careful = fast, careful
-        self.name = name
+        """Transcribe the problem and compile its solver, if there is a compiler."""
+        problem = _transcription(target, cost, motion.limited)
+        fast = casadi.nlpsol("nmpc", "sqpmethod", problem, _SQP)
+        self._careful = casadi.nlpsol("nmpc", "ipopt", problem, _IPOPT)
+        compiled = _compiled(fast)
+        self._fast = compiled or fast
+        self.name = f"sqpmethod, {'not ' * (compiled is None)}compiled"
         lower = np.full((STEPS, _STAGE), -math.inf)
         upper = np.full((STEPS, _STAGE), math.inf)
         lower[:, _STATES:], upper[:, _STATES:] = limits.lower, limits.upper
@@ -186,6 +177,9 @@ class HorizonSolver:
         stages = found[:-_STATES].reshape(STEPS, _STAGE)
         state = np.vstack([stages[:, :_STATES], found[-_STATES:]]) + origin
         return Plan(state, stages[:, _STATES:])
+
+
+horizon_solver = functools.lru_cache(maxsize=8)(HorizonSolver)  # one for the same numbers
 
 
 def _transcription(target: TargetSettings, cost: CostSettings, limited: bool) -> dict[str, Any]:
@@ -294,15 +288,11 @@ class Nmpc(PeerController):
         if len(self._plans) != len(flat):
             self._plans = [None] * len(flat)
         reach = np.swapaxes(self.reach(len(flat)), 0, 1)
-        robots = [
-            _Start(start, ends, self.reference.of_robot(number))
-            for number, (start, ends) in enumerate(zip(flat, reach, strict=True))
-        ]
-        plans = [
-            self._plan(robot, None if last is None else last.after(dt))
-            for robot, last in zip(robots, self._plans, strict=True)
-        ]
-        self._plans = list(plans)
+        plans = []
+        for number, last in enumerate(self._plans):
+            start = _Start(flat[number], reach[number], self.reference.of_robot(number))
+            plans.append(self._plan(start, last and last.after(dt)))
+        self._plans = [*plans]
         commands = np.array([plan.command[0] for plan in plans])
         return commands.reshape(*pose.shape[:-1], 2)
 

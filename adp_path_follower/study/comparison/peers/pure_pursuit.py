@@ -1,7 +1,6 @@
 """Pure pursuit, plain and regulated as in Nav2."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,24 +49,6 @@ class TunedPurePursuit(PurePursuit):
     lookahead = 0.6
 
 
-@dataclass(frozen=True)
-class RegulationRules:
-    """Nav2's parameters of the rules, with the defaults that it publishes and by its names."""
-
-    lookahead_dist: float = 0.6  # look-ahead distance where it does not depend on speed [m]
-    use_velocity_scaled_lookahead_dist: bool = False  # whether it does
-    lookahead_time: float = 1.5  # look-ahead distance by speed [s]
-    min_lookahead_dist: float = 0.3  # least one by speed [m]
-    max_lookahead_dist: float = 0.9  # greatest one by speed [m]
-    # Turning radius below which the robot slows down [m].
-    regulated_linear_scaling_min_radius: float = 0.9
-    regulated_linear_scaling_min_speed: float = 0.25  # speed that it keeps [m/s]
-    # Angle to the point ahead beyond which it turns in place [rad].
-    rotate_to_heading_min_angle: float = 0.785
-    rotate_to_heading_angular_vel: float = 1.8  # speed of that turn [rad/s]
-    max_angular_accel: float = 3.2  # acceleration of that turn [rad/s^2]
-
-
 class RegulatedPurePursuit(PeerController):
     """Pure pursuit with Nav2's rules (Macenski et al., arXiv 2305.20026, 2023).
 
@@ -77,7 +58,19 @@ class RegulatedPurePursuit(PeerController):
     what Nav2 has switched off: reversing, and a second point ahead for the curvature.
     """
 
-    rules = RegulationRules()
+    # Nav2's parameters of the rules, with the defaults that it publishes and by its names.
+    lookahead_dist = 0.6  # look-ahead distance where it does not depend on speed [m]
+    use_velocity_scaled_lookahead_dist = False  # whether it does
+    lookahead_time = 1.5  # look-ahead distance by speed [s]
+    min_lookahead_dist = 0.3  # least one by speed [m]
+    max_lookahead_dist = 0.9  # greatest one by speed [m]
+    # Turning radius below which the robot slows down [m].
+    regulated_linear_scaling_min_radius = 0.9
+    regulated_linear_scaling_min_speed = 0.25  # speed that it keeps [m/s]
+    # Angle to the point ahead beyond which it turns in place [rad].
+    rotate_to_heading_min_angle = 0.785
+    rotate_to_heading_angular_vel = 1.8  # speed of that turn [rad/s]
+    max_angular_accel = 3.2  # acceleration of that turn [rad/s^2]
 
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
@@ -90,35 +83,33 @@ class RegulatedPurePursuit(PeerController):
         curvature = pursuit_curvature(carrot)
         speed = self.regulated_speed(curvature)
         bearing = np.arctan2(contiguous(carrot[..., 1]), contiguous(carrot[..., 0]))
-        turning = np.abs(bearing) > self.rules.rotate_to_heading_min_angle
+        turning = np.abs(bearing) > self.rotate_to_heading_min_angle
         linear = np.where(turning, 0.0, speed)
         turn = self._turn_in_place(bearing, twist[..., 1], dt if dt > 0.0 else _NAV2_PERIOD)
         return np.stack([linear, np.where(turning, turn, speed * curvature)], axis=-1)
 
     def lookahead(self, speed: FloatArray) -> FloatArray:
         """Return the look-ahead distance [m] at speeds [m/s], same shape."""
-        rules = self.rules
-        if not rules.use_velocity_scaled_lookahead_dist:
-            return np.full_like(speed, rules.lookahead_dist)
-        scaled = np.abs(speed) * rules.lookahead_time
-        return np.clip(scaled, rules.min_lookahead_dist, rules.max_lookahead_dist)
+        if not self.use_velocity_scaled_lookahead_dist:
+            return np.full_like(speed, self.lookahead_dist)
+        scaled = np.abs(speed) * self.lookahead_time
+        return np.clip(scaled, self.min_lookahead_dist, self.max_lookahead_dist)
 
     def regulated_speed(self, curvature: FloatArray) -> FloatArray:
         """Return the speed [m/s] on arcs of a curvature [1/m], same shape."""
-        rules, speed = self.rules, self.cruising_speed
+        speed = self.cruising_speed
         # v_des (1 - |r - r_min| / r_min) for r < r_min is v_des r / r_min.
-        share = np.maximum(np.abs(curvature) * rules.regulated_linear_scaling_min_radius, 1.0)
-        regulated = np.maximum(speed / share, rules.regulated_linear_scaling_min_speed)
+        share = np.maximum(np.abs(curvature) * self.regulated_linear_scaling_min_radius, 1.0)
+        regulated = np.maximum(speed / share, self.regulated_linear_scaling_min_speed)
         return np.asarray(np.minimum(regulated, speed))
 
     def _turn_in_place(self, bearing: FloatArray, turn: FloatArray, dt: float) -> FloatArray:
         """Return w [rad/s] that turns towards a bearing [rad] from a turn [rad/s], same shape."""
-        rules = self.rules
-        wanted = np.copysign(rules.rotate_to_heading_angular_vel, bearing)
-        change = rules.max_angular_accel * dt
+        wanted = np.copysign(self.rotate_to_heading_angular_vel, bearing)
+        change = self.max_angular_accel * dt
         feasible = np.clip(wanted, turn - change, turn + change)
         # No faster than what can still stop at the bearing.
-        stopping = np.sqrt(2.0 * rules.max_angular_accel * np.abs(bearing))
+        stopping = np.sqrt(2.0 * self.max_angular_accel * np.abs(bearing))
         fast = np.abs(feasible) > stopping
         return np.asarray(np.where(fast, np.copysign(stopping, bearing), feasible))
 
@@ -130,12 +121,10 @@ class TunedRegulatedPurePursuit(RegulatedPurePursuit):
     0.9, 0.3 m and angles 0.785, 1.2, 1.57 rad.
     """
 
-    rules = RegulationRules(
-        use_velocity_scaled_lookahead_dist=True,
-        lookahead_time=1.2,
-        regulated_linear_scaling_min_radius=0.3,
-        rotate_to_heading_min_angle=1.57,
-    )
+    use_velocity_scaled_lookahead_dist = True
+    lookahead_time = 1.2
+    regulated_linear_scaling_min_radius = 0.3
+    rotate_to_heading_min_angle = 1.57
 
 
 def place_ahead(path: Path, pose: FloatArray, place: FloatArray, distance: ArrayLike) -> FloatArray:

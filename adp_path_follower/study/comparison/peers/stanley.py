@@ -1,34 +1,15 @@
 """Stanley's steering law, on a virtual bicycle."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, Number, tracking_error
+from adp_path_follower.core.geometry import FloatArray, tracking_error
 from adp_path_follower.core.path.curve import PathFrame
 from adp_path_follower.core.path.nearest import place_near
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
 _LEAST_SPEED = 1e-3  # [m/s]: the law divides by the speed
-
-
-@dataclass(frozen=True)
-class StanleyGains:
-    """Numbers of the law."""
-
-    position_gain: float = 2.5  # k [1/s], on the cross-track error
-    wheelbase: float = 0.3  # wheelbase of the virtual bicycle whose rear axle is the robot's [m]
-    max_steering: float = math.radians(35.0)  # greatest steering angle [rad]
-    at_front_axle: bool = True  # whether errors are taken at the front axle, or at the robot
-    curvature_feedforward: bool = False  # whether the path's curvature is steered, too
-
-
-def steering_angle(
-    heading_error: FloatArray, cross_track: FloatArray, speed: Number, gains: StanleyGains
-) -> FloatArray:
-    """Return delta = -theta - arctan(k y / v) without curvature and limits [rad], same shape."""
-    return np.asarray(-heading_error - np.arctan(gains.position_gain * cross_track / speed))
 
 
 class Stanley(PeerController):
@@ -42,25 +23,29 @@ class Stanley(PeerController):
     With the front axle on the path, the robot itself cuts the bends, which `TunedStanley` mends.
     """
 
-    gains = StanleyGains()
+    position_gain = 2.5  # k [1/s], on the cross-track error
+    wheelbase = 0.3  # of the virtual bicycle whose rear axle is the robot's [m]
+    max_steering = math.radians(35.0)  # [rad]
+    at_front_axle = True  # whether errors are taken at the front axle, or at the robot
+    curvature_feedforward = False  # whether the path's curvature is steered, too
 
     def command(
         self, pose: FloatArray, dt: float, frame: PathFrame, error: FloatArray
     ) -> FloatArray:
         """Return v_des and the turn of the virtual bicycle."""
-        gains, speed = self.gains, np.maximum(self.cruising_speed, _LEAST_SPEED)
+        speed = np.maximum(self.cruising_speed, _LEAST_SPEED)
         reference = pose.copy()
-        if gains.at_front_axle:
-            reference[..., 0] += gains.wheelbase * np.cos(pose[..., 2])
-            reference[..., 1] += gains.wheelbase * np.sin(pose[..., 2])
+        if self.at_front_axle:
+            reference[..., 0] += self.wheelbase * np.cos(pose[..., 2])
+            reference[..., 1] += self.wheelbase * np.sin(pose[..., 2])
         self.place = place_near(self.path, reference, self.place)
         place = self.path.frame(self.place)
         _, cross_track, heading = np.moveaxis(tracking_error(reference, place.pose), -1, 0)
-        steering = steering_angle(heading, cross_track, speed, gains)
-        if gains.curvature_feedforward:
-            steering = steering + np.arctan(gains.wheelbase * place.curvature)
-        steering = np.clip(steering, -gains.max_steering, gains.max_steering)
-        turn = speed * np.tan(steering) / gains.wheelbase
+        steering = -heading - np.arctan(self.position_gain * cross_track / speed)
+        if self.curvature_feedforward:
+            steering = steering + np.arctan(self.wheelbase * place.curvature)
+        steering = np.clip(steering, -self.max_steering, self.max_steering)
+        turn = speed * np.tan(steering) / self.wheelbase
         return np.stack([np.full_like(turn, self.cruising_speed), turn], axis=-1)
 
 
@@ -71,4 +56,6 @@ class TunedStanley(Stanley):
     wheelbases 0.1, 0.2, 0.3, 0.5 m.
     """
 
-    gains = StanleyGains(position_gain=0.5, at_front_axle=False, curvature_feedforward=True)
+    position_gain = 0.5
+    at_front_axle = False
+    curvature_feedforward = True
