@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from adp_path_follower.analysis.recorded_run import Drive, controller_states, finite, period_of
+from adp_path_follower.analysis.recorded_run import Drive, finite, period_of
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.supervisor import State
@@ -183,14 +183,9 @@ def _settling_time(drive: Drive) -> float:
 
 def time_in_state(drive: Drive) -> dict[str, float]:
     """Return how long the controller was in each state [s]; empty where the bag does not say."""
-    changes = controller_states(drive.run.diagnostics)
-    if not changes:
-        return {}
-    times = [drive.seconds(change.time) for change in changes]
-    ends = [*times[1:], max(float(drive.odometry.time[-1]), times[-1])]
     spent: dict[str, float] = {}
-    for change, begin, end in zip(changes, times, ends, strict=True):
-        spent[change.state] = spent.get(change.state, 0.0) + end - begin
+    for state, begin, end in drive.states:
+        spent[state] = spent.get(state, 0.0) + end - begin
     return spent
 
 

@@ -67,6 +67,15 @@ class Drive:
         return float((self.clock.stamps(np.array([arrival]))[0] - self.start) * 1e-9)
 
     @property
+    def states(self) -> list[tuple[str, float, float]]:
+        """Return each state of the controller, from when and until when [s]; empty if unknown."""
+        changes = controller_states(self.run.diagnostics)
+        times = [self.seconds(change.time) for change in changes]
+        ends = [*times[1:], max(float(self.odometry.time[-1]), *times[-1:])] if times else []
+        states = (change.state for change in changes)
+        return list(zip(states, times, ends, strict=True))
+
+    @property
     def driving(self) -> np.ndarray:
         """Return which of the odometry was recorded while the robot was told to move, (N,)."""
         return np.asarray((self.odometry.time >= 0.0) & (self.odometry.time <= self.end))

@@ -1,20 +1,16 @@
 """The charts of a recorded run, decimated so that they stay small however long the bag is."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from adp_path_follower.analysis.identification.robot_panels import robot_panels
-from adp_path_follower.analysis.recorded_run import (
-    Drive,
-    Timed,
-    controller_states,
-    finite,
-    period_of,
-)
+from adp_path_follower.analysis.identification.recording import Recording
+from adp_path_follower.analysis.identification.response import modelled
+from adp_path_follower.analysis.recorded_run import Drive, Timed, finite, period_of
 from adp_path_follower.core.control.error_dynamics import feedforward, path_state
 from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.robot.model import RobotModel
 from adp_path_follower.core.safety.supervisor import State
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.criteria import transient
@@ -44,6 +40,15 @@ _GREY_BUCKETS = 100  # of a weight that is only there for the whole
 _NAMED_WEIGHTS = 10
 _TRACK_BUCKETS = 500  # of the track, shared by the bags; each point is a mark of its own
 _POSES = 2000  # that the robot is moved through, shared by the bags
+
+# Label of a panel -> the recorded numbers that it shows, and half of the least span of its axis.
+_PANELS = {
+    "times [s]": (("delay [s]", "linear lag [s]", "angular lag [s]"), 0.05),
+    "gains": (("k_v", "k_w"), 0.02),
+    "bias [rad/m]": (("bias [rad/m]",), 0.02),
+}
+_AXIS_ROOM = 1.1  # span of an axis as a multiple of what it shows
+_RAMPS = ("ramp [m/s^2]", "angular ramp [rad/s^2]")
 
 
 def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Charts:
@@ -79,7 +84,7 @@ def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Cha
         found["bellman_error"] = (Panel("|Bellman error|", (error,), logarithmic=True),)
     if "excitation" in learner:
         found["excitation"] = (Panel("certificate", (line("certificate", learner["excitation"]),)),)
-    found |= robot_panels(drive, buckets)
+    found |= _robot_panels(drive, buckets)
     histograms = {
         key: histogram(label, 1e3 * values)
         for key, label, values in (
@@ -95,15 +100,12 @@ def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Cha
 
 def _halts(drive: Drive) -> dict[str, FloatArray]:
     """Return when the controller waited, was stopped or at fault: state -> times (N, 2) [s]."""
-    changes = controller_states(drive.run.diagnostics)
-    times = [drive.seconds(change.time) for change in changes]
     found: dict[str, list[tuple[float, float]]] = {}
-    ends = [*times[1:], float(drive.odometry.time[-1])]
-    for change, begin, end in zip(changes, times, ends, strict=False):
+    for state, begin, end in drive.states:
         # Before the first command and after the last one there is nothing to shade.
         begin, end = max(begin, 0.0), min(end, drive.end)
-        if change.state in _HALTS and end > begin:
-            found.setdefault(change.state, []).append((begin, end))
+        if state in _HALTS and end > begin:
+            found.setdefault(state, []).append((begin, end))
     return {state: np.array(spans) for state, spans in found.items()}
 
 
@@ -208,3 +210,75 @@ def _turn_rates(drive: Drive, settings: Settings, actor: FloatArray, time: float
     inverse_cost = settings.cost.inverse_input_cost()
     wanted = saturate(descending_input(descent, inverse_cost), ahead, settings.limits)
     return np.asarray((wanted + ahead)[..., 1])
+
+
+def _robot_panels(drive: Drive, buckets: int) -> dict[str, tuple[Panel, ...]]:
+    """Return the parameters over time, and measured beside modelled velocities, where recorded."""
+    told = drive.learner.get("robot_model")
+    names = [name for shown, _ in _PANELS.values() for name in shown]
+    if told is None or not {*names, *_RAMPS} <= {*told.labels} or not len(told.time):
+        return {}
+    if told.values.shape[1] != len(told.labels):
+        return {}
+    columns = dict(zip(told.labels, told.values.T, strict=True))
+    edges = {name: _two_deviations(columns, name) for name in names}
+
+    def lines(name: str) -> list[Line]:
+        around = [line_of(name, told.time, edge, buckets, background=True) for edge in edges[name]]
+        return [*around, line_of(name.partition(" [")[0], told.time, columns[name], buckets)]
+
+    def span(shown: tuple[str, ...], least: float) -> tuple[float, float] | None:
+        parts = [part for name in shown for part in (columns[name], *(e[-1:] for e in edges[name]))]
+        return _axis_around(np.concatenate(parts), least)
+
+    last = {name: float(values[-1]) for name, values in columns.items()}
+    model = RobotModel(
+        delay=last["delay [s]"],
+        linear_lag=last["linear lag [s]"],
+        angular_lag=last["angular lag [s]"],
+        ramp=last[_RAMPS[0]],
+        angular_ramp=last[_RAMPS[1]],
+    )
+    time, values = drive.odometry.time, drive.odometry.values
+    found = {
+        "robot_model": tuple(
+            Panel(
+                label,
+                tuple(line for name in shown for line in lines(name)),
+                span=span(shown, least),
+            )
+            for label, (shown, least) in _PANELS.items()
+        )
+    }
+    if len(drive.commands.time) and np.isfinite([*last.values()][:3]).all():
+        sent, commands = drive.commands.time, drive.commands.values
+        poses, encoders = values[:, :3], values[:, 3:]
+        recording = Recording(sent, commands, time, poses, encoders, False, sent[:0], ())
+        answer = modelled(recording, model)
+        found["robot_velocity"] = tuple(
+            Panel(
+                label,
+                (
+                    line_of("measured", time, values[:, 3 + part], buckets),
+                    line_of("model", time, answer[:, part], buckets),
+                ),
+            )
+            for part, label in enumerate(("v [m/s]", "ω [rad/s]"))
+        )
+    return found
+
+
+def _two_deviations(columns: Mapping[str, FloatArray], name: str) -> list[FloatArray]:
+    """Return two deviations below and above a number; nothing if driving did not narrow them."""
+    spread = columns.get(f"deviation of {name}", np.zeros(len(columns[name])))
+    narrowed = bool((spread < spread[0]).any())
+    return [columns[name] + sign * 2.0 * spread for sign in (-1.0, 1.0)] if narrowed else []
+
+
+def _axis_around(values: FloatArray, least: float) -> tuple[float, float] | None:
+    """Return the axis of values with their last deviations, for the first ones may be huge."""
+    if not np.isfinite(values).all():
+        return None
+    middle = 0.5 * float(values.min() + values.max())
+    half = max(_AXIS_ROOM * (float(values.max()) - middle), least)
+    return middle - half, middle + half
