@@ -1,4 +1,4 @@
-"""Gather the messages of one topic as numbers, little by little and without copies."""
+"""Gather the messages of one topic as numbers, little by little."""
 
 import math
 from dataclasses import dataclass, field
@@ -52,11 +52,10 @@ class Columns:
         self._times: list[int] = []
         self._labels: tuple[str, ...] = ()
         self._frame = ""
-        self._count = 0
-        self._other_width = 0  # messages with another number of values than most of the first ones
-        self._stamp = np.zeros(0, dtype=np.int64)
-        self._arrival = np.zeros(0, dtype=np.int64)
-        self._values: FloatArray | None = None
+        self._width: int | None = None  # values of a message, as most of the first ones have
+        self._other_width = 0  # messages with another number of values
+        # Stamps, arrivals and rows of messages, in order.
+        self._pieces: list[tuple[np.ndarray, np.ndarray, FloatArray]] = []
 
     def take(self, time: int, raw: bytes) -> None:
         """Take one message that arrived at a time [ns]."""
@@ -68,9 +67,11 @@ class Columns:
     def series(self) -> tuple[Series, int, int]:
         """Return the messages, and how many are left out: undecodable, and of another width."""
         self._decode()
-        values = np.zeros((0, 0)) if self._values is None else self._values
-        _resize(self._count, self._stamp, self._arrival, values)
-        found = Series(self._stamp, values, self._labels, self._arrival, self._frame)
+        nothing = np.zeros(0, dtype=np.int64)
+        pieces = self._pieces or [(nothing, nothing, np.zeros((0, self._width or 0)))]
+        self._pieces = []  # not twice in memory when the next topic is joined
+        stamps, arrivals, values = map(np.concatenate, zip(*pieces, strict=True))
+        found = Series(stamps, values, self._labels, arrivals, self._frame)
         return found, self._decoder.broken, self._other_width
 
     def _decode(self) -> None:
@@ -80,46 +81,32 @@ class Columns:
             (chosen, stamps, _planar(values) if self._has_pose else values)
             for chosen, stamps, values in self._decoder.decode(self._waiting)
         ]
-        if blocks and self._values is None:
-            self._values = np.zeros((0, _usual_width([values for _, _, values in blocks])))
         if blocks:
+            if self._width is None:
+                self._width = _usual_width([values for _, _, values in blocks])
             first = min(int(chosen[0]) for chosen, _, _ in blocks)
             text = self._decoder.text(self._waiting[first])
-            if self._stamped and not self._count:
+            if self._stamped and not self._pieces:
                 self._frame = text
             elif self._is_array and text and not self._labels:
                 self._labels = tuple(text.split(", "))
-        self._gather(blocks, np.array(self._times, dtype=np.int64))
+            self._gather(blocks, self._width, np.array(self._times, dtype=np.int64))
         self._waiting, self._times = [], []
 
     def _gather(
-        self, blocks: list[tuple[np.ndarray, np.ndarray, FloatArray]], times: np.ndarray
+        self, blocks: list[tuple[np.ndarray, np.ndarray, FloatArray]], width: int, times: np.ndarray
     ) -> None:
-        """Append decoded blocks in the order in which their messages arrived."""
-        if self._values is None:
-            return
+        """Keep decoded blocks in the order in which their messages arrived."""
         stamps, kept = times.copy(), np.zeros(len(times), dtype=bool)
-        rows = np.full((len(times), self._values.shape[1]), np.nan)
+        rows = np.full((len(times), width), np.nan)
         for chosen, block_stamps, values in blocks:
-            if values.shape[1] != rows.shape[1]:
+            if values.shape[1] != width:
                 self._other_width += len(chosen)
                 continue
             rows[chosen], kept[chosen] = values, True
             if self._stamped:
                 stamps[chosen] = block_stamps
-        self._append(stamps[kept], times[kept], rows[kept] if not kept.all() else rows)
-
-    def _append(self, stamps: np.ndarray, arrivals: np.ndarray, rows: FloatArray) -> None:
-        assert self._values is not None
-        end = self._count + len(rows)
-        if end > len(self._stamp):
-            # Resizing in place moves no memory, where joining pieces at the end would double it.
-            room = max(end, math.ceil(1.2 * len(self._stamp)))
-            _resize(room, self._stamp, self._arrival, self._values)
-        self._stamp[self._count : end] = stamps
-        self._arrival[self._count : end] = arrivals
-        self._values[self._count : end] = rows
-        self._count = end
+        self._pieces.append((stamps[kept], times[kept], rows[kept]))
 
 
 def _usual_width(blocks: list[FloatArray]) -> int:
@@ -128,12 +115,6 @@ def _usual_width(blocks: list[FloatArray]) -> int:
     for values in blocks:
         counts[values.shape[1]] = counts.get(values.shape[1], 0) + len(values)
     return max(counts, key=lambda width: counts[width])
-
-
-def _resize(rows: int, *arrays: np.ndarray) -> None:
-    for array in arrays:
-        shape: tuple[int, ...] = array.shape
-        array.resize((rows, *shape[1:]), refcheck=False)
 
 
 def _planar(values: FloatArray) -> FloatArray:

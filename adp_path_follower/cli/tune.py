@@ -1,20 +1,14 @@
 """`adp tune`: search for better settings, on all cores or machines."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING
 
 import click
 
 from adp_path_follower.cli.options import FILE, cluster_options, settings_options
 from adp_path_follower.cli.sweep import at_work, in_words, needed, say_how_long, tell
 from adp_path_follower.extras import require
-
-if TYPE_CHECKING:  # Dask and Optuna are loaded when there is something to run
-    from adp_path_follower.study.sweeps.request.request import Tuning
 
 
 @click.command()
@@ -70,6 +64,10 @@ def tune(
     """
     require("adp tune", "sweep")
     from adp_path_follower.study.sweeps.request.request import read_tuning, tuning_of_options
+    from adp_path_follower.study.sweeps.results import results
+    from adp_path_follower.study.sweeps.study import open_study, tried
+    from adp_path_follower.study.sweeps.study import tune as run_tuning
+    from adp_path_follower.study.sweeps.workers.folder import OutputFolder
 
     if file is None:
         asked = tuning_of_options(params, assignments, vary, objectives)
@@ -85,27 +83,11 @@ def tune(
         asked = dataclasses.replace(asked, search=search)
     title = str(file or params or "the default settings")
     if dry_run:
-        trials, at_once = asked.search.trials, asked.search.at_once
+        count, at_once = asked.search.trials, asked.search.at_once
         before = [asked.conditions.settings]
-        say_how_long(asked.conditions, before, trials, at_once, scheduler, workers)
+        say_how_long(asked.conditions, before, count, at_once, scheduler, workers)
         return
-    _run(asked, title, needed(directory), storage, scheduler, workers)
-
-
-def _run(
-    asked: Tuning,
-    title: str,
-    directory: FilePath,
-    storage: str | None,
-    scheduler: str | None,
-    workers: int | None,
-) -> None:
-    from adp_path_follower.study.sweeps.results import results
-    from adp_path_follower.study.sweeps.study import open_study, tried
-    from adp_path_follower.study.sweeps.study import tune as run_tuning
-    from adp_path_follower.study.sweeps.workers.folder import OutputFolder
-
-    begun, trials = time.monotonic(), asked.search.trials
+    begun, trials, directory = time.monotonic(), asked.search.trials, needed(directory)
     with OutputFolder(directory, "tune", asked.description()):
         place = storage or f"sqlite:///{(directory / 'study.db').absolute()}"
         study = open_study(asked, place, shared=storage is not None)

@@ -131,21 +131,24 @@ def replay(
 def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
     """Raise AdpError for options that would do nothing beside others; the sentence names both."""
     context = click.get_current_context()
-    comparisons = ("csv_file", "figure_file")
-    rules: list[tuple[str, tuple[str, ...]]] = []
-    if republish:
-        reason = "--republish plays what was recorded to a controller with settings of its own"
-        settings = ("params", "assignments", "closed_loop", "directory", "report")
-        rules.append((reason, (*settings, *comparisons)))
-    else:
-        rules.append(("without --republish nothing is played", ("rate",)))
-    if closed_loop:
-        reason = "--closed-loop has other steps than the recording, so none to compare"
-        rules.append((reason, comparisons))
-    for reason, names in rules:
+    settings, comparisons = ("params", "assignments"), ("csv_file", "figure_file")
+    rules = (
+        (
+            republish,
+            "--republish plays what was recorded to a controller with settings of its own",
+            (*settings, "closed_loop", "directory", "report", *comparisons),
+        ),
+        (not republish, "without --republish nothing is played", ("rate",)),
+        (
+            closed_loop,
+            "--closed-loop has other steps than the recording, so none to compare",
+            comparisons,
+        ),
+    )
+    for applies, reason, names in rules:
         for option in context.command.params:
             source = context.get_parameter_source(option.name or "")
-            if option.name in names and source is ParameterSource.COMMANDLINE:
+            if applies and option.name in names and source is ParameterSource.COMMANDLINE:
                 raise AdpError(f"{reason}: not with {option.opts[0]}")
 
 
@@ -206,11 +209,13 @@ def _write_report(
     new["cmd_vel"] = "/cmd_vel"
     directory = replayed.parent
     try:
-        from adp_path_follower.analysis.bag_analysis import analyse_bag
-        from adp_path_follower.analysis.bag_page import write_report
+        require("the report", "report")
     except AdpError as error:
         click.echo(f"In {directory}: {replayed.name}/, without a report: {error}")
         return
+    from adp_path_follower.analysis.bag_analysis import analyse_bag
+    from adp_path_follower.analysis.bag_page import write_report
+
     analyses = []
     runs = (("recorded", bag, recorded), ("replayed", replayed, new))
     for number, (label, source, names) in enumerate(runs, start=1):

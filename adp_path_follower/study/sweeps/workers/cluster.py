@@ -88,17 +88,12 @@ def workers(address: str | None, count: int | None = None) -> Iterator[Workers]:
 
     Raises AdpError if the scheduler does not answer, has no workers, or they lack this version.
     """
-    _silence()
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":  # tracebacks of lost connections, which are
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # raised here where they matter
     connected = _local(count) if address is None else _connected(address)
     with connected as client, noted_interrupts() as check_interrupts:
         yield Workers(client, check_interrupts)
-
-
-def _silence() -> None:
-    """Switch off Dask's tracebacks of lost connections; errors that matter are raised here."""
-    for name in list(logging.root.manager.loggerDict):
-        if name.partition(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.nearest import beside
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import Value, update
-from adp_path_follower.study.simulation.simulate import SimulationResult, simulate
+from adp_path_follower.study.simulation.simulate import simulate
 from adp_path_follower.study.sweeps.request.conditions import (
     Conditions,
     PathSource,
@@ -185,49 +185,41 @@ def _measured(
         **_constant(count, dict.fromkeys(MEASURES, math.nan)),
         **_constant(count, {"settling_time": math.inf, "stable": False}),
     }
-    try:
-        path = _path(source, settings.path)
-        meter = TrackingMeter(path, count, asked.duration, 1.0 / asked.rate)
-        found = _simulated(conditions, settings, path, robot, starts, meter)
-    except (AdpError, np.linalg.LinAlgError) as error:
-        return {**nothing, **_constant(count, {"problem": str(error)})}
-    lost = found.failed | ~np.isfinite(found.cost)
-    columns = {"cost": found.cost, "effort": found.effort, **meter.columns()}
-    columns["settling_time"] = found.settling_time
-    seen = {name: np.where(lost, nothing[name], values) for name, values in columns.items()}
-    return {**seen, "excitation": found.excitation, **_constant(count, {"problem": ""})}
-
-
-def _simulated(
-    conditions: Conditions,
-    settings: Settings,
-    path: Path,
-    robot: Robot,
-    starts: FloatArray,
-    meter: TrackingMeter,
-) -> SimulationResult:
-    """Return runs, with the conditions' cost counted and the controller's own cost driving."""
-    judged = dataclasses.replace(settings, cost=conditions.settings.cost)
 
     def controller(given: Settings, path: Path, arc_length: FloatArray) -> PathFollower:
-        # `given` differs from `judged` where frozen weights were asked for.
+        # The conditions' cost is counted, the settings' own cost drives. `given` differs from them
+        # where frozen weights were asked for, too.
         own = update(settings, {"learning": given.learning.learning})
         return PathFollower(own, path, arc_length)
 
-    with np.errstate(all="ignore"):  # runs that are lost overflow, and are marked
-        return simulate(
-            judged,
-            path,
-            starts,
-            start_arc_length=conditions.run.start_arc_length,
-            duration=conditions.run.duration,
-            rate=conditions.run.rate,
-            learning=conditions.run.learning,
-            plant=robot.plant,
-            faults=robot.faults if robot.faults.entries else None,
-            controller=controller,
-            observe=meter.observe,
-        )
+    try:
+        path = _path(source, settings.path)
+        meter = TrackingMeter(path, count, asked.duration, 1.0 / asked.rate)
+        with np.errstate(all="ignore"):  # runs that are lost overflow, and are marked
+            found = simulate(
+                dataclasses.replace(settings, cost=conditions.settings.cost),
+                path,
+                starts,
+                start_arc_length=asked.start_arc_length,
+                duration=asked.duration,
+                rate=asked.rate,
+                learning=asked.learning,
+                plant=robot.plant,
+                faults=robot.faults,
+                controller=controller,
+                observe=meter.observe,
+            )
+    except (AdpError, np.linalg.LinAlgError) as error:
+        return {**nothing, **_constant(count, {"problem": str(error)})}
+    lost = found.failed | ~np.isfinite(found.cost)
+    columns = {
+        "cost": found.cost,
+        "effort": found.effort,
+        **meter.columns(),
+        "settling_time": found.settling_time,
+    }
+    seen = {name: np.where(lost, nothing[name], values) for name, values in columns.items()}
+    return {**seen, "excitation": found.excitation, **_constant(count, {"problem": ""})}
 
 
 @functools.lru_cache(maxsize=16)
