@@ -10,27 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from adp_path_follower import criteria
 from adp_path_follower.analysis.recorded_run import Drive, finite, period_of
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.supervisor import State
-from adp_path_follower.criteria import (
-    APPROACHED_LEAST,
-    APPROACHED_SHARE,
-    SETTLED,
-    TRANSIENT,
-    TRANSIENT_SHARE,
-    has_approached,
-    is_settled,
-    time_to_stay,
-    transient,
-)
 from adp_path_follower.study.optimum.reference import COST_HORIZON
 
 _NOISES = 3.0  # times its size from which on something is not noise
 _STEADY = (
-    f"after the first {TRANSIENT:g} s, of a run shorter than {TRANSIENT / TRANSIENT_SHARE:.0f} s "
-    "after a third"
+    f"after the first {criteria.TRANSIENT:g} s, of a run shorter than "
+    f"{criteria.TRANSIENT / criteria.TRANSIENT_SHARE:.0f} s after a third"
 )
 
 
@@ -79,13 +69,13 @@ METRICS = (
     Metric(
         "settling_time",
         "s",
-        f"Until the error [s, y, θ] to the virtual target stays below {SETTLED:g} in norm",
+        f"Until the error [s, y, θ] to the virtual target stays below {criteria.SETTLED:g} in norm",
     ),
     Metric(
         "approach_time",
         "s",
-        f"Until the distance stays below {100 * APPROACHED_SHARE:g} % of that at the start, or "
-        f"{1000 * APPROACHED_LEAST:g} mm",
+        f"Until the distance stays below {100 * criteria.APPROACHED_SHARE:g} % of that at the "
+        f"start, or {1000 * criteria.APPROACHED_LEAST:g} mm",
     ),
     Metric(
         "overshoot",
@@ -123,7 +113,7 @@ def measure_drive(drive: Drive, costs: Mapping[str, float]) -> dict[str, float]:
     driving, beside = drive.driving, drive.driving & drive.compared
     time = drive.odometry.time[beside]
     cross = np.abs(drive.projection.cross_track[beside])
-    steady = cross[time >= transient(drive.end)]
+    steady = cross[time >= criteria.transient(drive.end)]
     values |= {
         "duration": float(drive.end),
         "distance": drive.motion.distance(driving),
@@ -153,10 +143,10 @@ def approach(time: FloatArray, cross_track: FloatArray, noise: float = 0.0) -> d
     Neither is known of a robot that began on the path, as far as noise [m] tells.
     """
     found = {"approach_time": math.nan, "overshoot": math.nan}
-    if not len(time) or abs(cross_track[0]) < max(APPROACHED_LEAST, _NOISES * noise):
+    if not len(time) or abs(cross_track[0]) < max(criteria.APPROACHED_LEAST, _NOISES * noise):
         return found
-    inside, start = has_approached(cross_track), float(cross_track[0])
-    taken = time_to_stay(time, inside)
+    inside, start = criteria.has_approached(cross_track), float(cross_track[0])
+    taken = criteria.time_to_stay(time, inside)
     found["approach_time"] = taken if math.isfinite(taken) else math.nan
     before = cross_track[: np.flatnonzero(~inside)[-1] + 1]
     other_side = float((-math.copysign(1.0, start) * before).max(initial=0.0))
@@ -173,11 +163,14 @@ def _settling_time(drive: Drive) -> float:
     if not chosen.any():
         return math.nan
     order = np.argsort(recorded.time[chosen], kind="stable")
-    time, settled = recorded.time[chosen][order], is_settled(recorded.values[chosen][order])
+    time, settled = (
+        recorded.time[chosen][order],
+        criteria.is_settled(recorded.values[chosen][order]),
+    )
     if settled.all():  # there was nothing to settle
         return math.nan
     # Since the robot was told to move: the first error may be told of a little later.
-    taken = float(time[0]) + time_to_stay(time, settled)
+    taken = float(time[0]) + criteria.time_to_stay(time, settled)
     return taken if math.isfinite(taken) else math.nan
 
 

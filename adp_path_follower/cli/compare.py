@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from adp_path_follower.cli.options import (
-    collect_starts,
-    out_option,
-    progress_bar,
-    settings_options,
-    simulator_options,
-    start_options,
-)
-from adp_path_follower.cli.outputs import output_directory, page_address, write_json
+from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
@@ -41,8 +33,8 @@ _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.i
 
 
 @click.command()
-@settings_options
-@simulator_options
+@options.settings_options
+@options.simulator_options
 @click.option(
     "--path",
     "path_names",
@@ -50,7 +42,7 @@ _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.i
     metavar="NAME|FILE",
     help=f"Path to follow, lissajous if none is given; may be given several times: {PATH_HELP}.",
 )
-@start_options
+@options.start_options
 @click.option("--duration", type=float, default=30.0, show_default=True, help="Time [s] of J.")
 @click.option(
     "--controllers",
@@ -59,7 +51,7 @@ _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.i
 )
 @click.option("--list", "list_them", is_flag=True, help="Name the controllers, and end.")
 @click.option("--unlimited", is_flag=True, help="Without limits of the command.")
-@out_option("compare", "table, figures, numbers and the page of the race")
+@options.out_option("compare", "table, figures, numbers and the page of the race")
 def compare(
     params: FilePath | None,
     assignments: tuple[str, ...],
@@ -108,13 +100,13 @@ def compare(
     changes = (*_UNLIMITED, *assignments) if unlimited else assignments
     settings = load_settings(Settings, "path_follower", params, changes)
     if starts or starts_file is not None:
-        errors = collect_starts(starts, starts_file)
+        errors = options.collect_starts(starts, starts_file)
     else:
         # A robot's model drives one run at a time, which takes long.
         errors = read_starts()[:: 5 if any("+" in name for name in names) else 1]
     paths = {name: named_path(name, settings.path) for name in path_names or ("lissajous",)}
     problems = []
-    with output_directory(directory, keep=True):
+    with outputs.output_directory(directory, keep=True):
         problems = _compare_on(
             paths,
             directory,
@@ -128,7 +120,7 @@ def compare(
         )
     click.echo(f"In {directory}: compare.txt, compare.json, race.html and the figures")
     for page in sorted(directory.rglob("race.html")):
-        click.echo(page_address(page))
+        click.echo(outputs.page_address(page))
     sys.exit(1 if problems else 0)
 
 
@@ -138,7 +130,7 @@ def _compare_on(paths: dict[str, Path], directory: FilePath, **common: Any) -> l
 
     found: list[Comparison] = []
     for name, path in paths.items():
-        with progress_bar(f"{len(common['names'])} controllers on {name}") as progress:
+        with options.progress_bar(f"{len(common['names'])} controllers on {name}") as progress:
             item = run_comparison(path_name=name, path=path, progress=progress, **common)
         found.append(item)
         click.echo(_table(item) + "\n")
@@ -221,7 +213,9 @@ def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> N
     text = "\n\n".join(_table(item) for item in found)
     with output_to(directory):
         (directory / "compare.txt").write_text(text + "\n", encoding="utf-8")
-        write_json(directory / "compare.json", {"paths": [_numbers(item) for item in found]})
+        outputs.write_json(
+            directory / "compare.json", {"paths": [_numbers(item) for item in found]}
+        )
         draw_comparison(found[-1], figures)
         if is_installed("report"):
             _write_race(found[-1], figures / "race.html")

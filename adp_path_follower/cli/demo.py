@@ -13,13 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from adp_path_follower.cli.options import (
-    out_option,
-    path_option,
-    settings_options,
-    simulator_options,
-)
-from adp_path_follower.cli.outputs import new_directory, page_address, write_json
+from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
@@ -40,10 +34,10 @@ _DEBUG_RATE = 20.0
 
 
 @click.command()
-@settings_options
-@simulator_options
-@path_option
-@out_option("demo", "bag, figures and report")
+@options.settings_options
+@options.simulator_options
+@options.path_option
+@options.out_option("demo", "bag, figures and report")
 @click.option(
     "--duration",
     type=click.FloatRange(1.0, 3600.0),
@@ -81,7 +75,7 @@ def demo(
     read_fault_script(simulator.simulation.fault_script)
     path = named_path(path_name)
     require("adp demo", "jazzy")
-    new_directory(directory)
+    outputs.new_directory(directory)
     started = time.monotonic()
     if duration is None:
         duration = path.length / settings.target.desired_speed
@@ -89,9 +83,9 @@ def demo(
     bag = _run(settings, simulator, path, path_name, duration, directory)
     page = _report(bag, directory, duration, time.monotonic() - started)
     if page is not None:
-        click.echo(page_address(page))
+        click.echo(outputs.page_address(page))
         if open_page:
-            click.launch(page_address(page))
+            click.launch(outputs.page_address(page))
 
 
 def _run(
@@ -175,7 +169,7 @@ def _report(
         "wall_time": wall_time,
         "real_time_factor": duration / wall_time,
     }
-    write_json(directory / "summary.json", summary)
+    outputs.write_json(directory / "summary.json", summary)
     click.echo(metrics_table([analysis]))
     for note in analysis.notes:
         click.echo(f"adp: {note}", err=True)

@@ -10,23 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from adp_path_follower.cli.options import (
-    FILE,
-    collect_starts,
-    path_option,
-    progress_bar,
-    settings_options,
-    simulator_options,
-    start_options,
-)
-from adp_path_follower.cli.outputs import (
-    check_figure,
-    check_writable,
-    json_option,
-    whole_file,
-    write_json,
-    write_npz,
-)
+from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.control.far_from_path import missing_values, without_values
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
@@ -57,19 +41,19 @@ class _Row:
 
 
 @click.command()
-@settings_options
-@simulator_options
-@path_option
-@start_options
+@options.settings_options
+@options.simulator_options
+@options.path_option
+@options.start_options
 @click.option("--horizon", type=float, default=30.0, show_default=True, help="Time [s].")
 @click.option(
     "--check",
     is_flag=True,
     help="Solve each start a second time, by the costate boundary value problem.",
 )
-@json_option("Write costs and motions")
-@click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the motions.")
-@click.option("--figure", "figure_file", type=FILE, metavar="FILE.png", help="Draw the motions.")
+@outputs.json_option("Write costs and motions")
+@options.file_option("--npz", "npz_file", "Write the motions.")
+@options.file_option("--figure", "figure_file", "Draw the motions.", "FILE.png")
 def optimum(
     params: FilePath | None,
     assignments: tuple[str, ...],
@@ -118,13 +102,13 @@ def optimum(
     if check and (settings.motion.limited or not plant.model.ideal):
         raise AdpError("--check is for ideal robots without limits of acceleration: leave it out")
     path = named_path(path_name, settings.path)
-    errors = collect_starts(starts, starts_file)
-    check_writable(json_file, npz_file, figure_file)
-    check_figure(figure_file)
+    errors = options.collect_starts(starts, starts_file)
+    outputs.check_writable(json_file, npz_file, figure_file)
+    outputs.check_figure(figure_file)
     solver = OptimumSolver(settings, path, start_arc_length, horizon, plant)
     ways = _ways(settings, path, errors, start_arc_length, horizon)
     rows: list[_Row] = []
-    with progress_bar(f"solving {len(errors)} starts") as progress:
+    with options.progress_bar(f"solving {len(errors)} starts") as progress:
         for index, start in enumerate(errors):
             found, check_cost, problem = None, None, ""
             try:
@@ -195,9 +179,9 @@ def _write(
     figure_file: FilePath | None,
 ) -> None:
     if json_file is not None:
-        write_json(json_file, {"optima": [_entry(row) for row in rows]})
+        outputs.write_json(json_file, {"optima": [_entry(row) for row in rows]})
     if npz_file is not None:
-        write_npz(npz_file, _arrays(rows))
+        outputs.write_npz(npz_file, _arrays(rows))
     if figure_file is not None:
         from adp_path_follower.drawing.figure_style import color
         from adp_path_follower.drawing.run_figures import draw_over_time
@@ -208,7 +192,7 @@ def _write(
             style = {"marker": "o", "markersize": 3, "linewidth": 1, "color": color(index)}
             curves.append((motion.time, values, style))
         title = "Offline optimum (points: collocation)"
-        with whole_file(figure_file) as file:
+        with outputs.whole_file(figure_file) as file:
             draw_over_time(file, title, _DRAWN, curves, until=15.0)  # [s]: later all is at rest
 
 

@@ -31,6 +31,13 @@ _TOPICS = {
 }
 
 
+def file_option(
+    option: str, name: str, text: str, metavar: str = "FILE"
+) -> Callable[[Command], Command]:
+    """Add an option for a file or a folder, which the command gets by a name."""
+    return click.option(option, name, type=FILE, metavar=metavar, help=text)
+
+
 def settings_options(command: Command) -> Command:
     """Add --params and --set."""
     command = click.option(
@@ -129,13 +136,8 @@ def start_options(command: Command) -> Command:
         show_default=True,
         help="Where on the path the virtual target starts [m].",
     )(command)
-    command = click.option(
-        "--starts",
-        "starts_file",
-        type=FILE,
-        metavar="forty|FILE.csv",
-        help="Initial errors: the reference's forty, or a CSV file with the columns s,y,theta.",
-    )(command)
+    text = "Initial errors: the reference's forty, or a CSV file with the columns s,y,theta."
+    command = file_option("--starts", "starts_file", text, "forty|FILE.csv")(command)
     return click.option(
         "--start",
         "starts",
@@ -176,13 +178,8 @@ def cluster_options(command: Command) -> Command:
         help="Run on the Dask cluster of this scheduler, as in tcp://host:8786, instead of all "
         "cores of this machine.",
     )(command)
-    return click.option(
-        "--out",
-        "directory",
-        type=FILE,
-        metavar="DIR",
-        help="Where the results go: a new directory, or that of the same work, which then resumes.",
-    )(command)
+    text = "Where the results go: a new directory, or that of the same work, which then resumes."
+    return file_option("--out", "directory", text, "DIR")(command)
 
 
 def collect_starts(

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import out_option, progress_bar
-from adp_path_follower.cli.outputs import output_directory, write_json
+from adp_path_follower.cli import options, outputs
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.paper.reproduce import Reproduction
@@ -18,7 +17,7 @@ log = logging.getLogger(__name__)
 
 
 @click.command()
-@out_option("paper", "figures and numbers")
+@options.out_option("paper", "figures and numbers")
 def paper(directory: FilePath) -> None:
     """Reproduce the paper's figures, and what they do not show.
 
@@ -29,15 +28,15 @@ def paper(directory: FilePath) -> None:
     """
     from adp_path_follower.study.paper.reproduce import reproduce
 
-    with output_directory(directory):
+    with outputs.output_directory(directory):
         log.info("simulating the paper's run, ten minutes of it, and 26 optima: some minutes")
-        with progress_bar("simulating and optimising") as progress:
+        with options.progress_bar("simulating and optimising") as progress:
             found = reproduce(progress)
         from adp_path_follower.study.paper.reproduce import draw_paper
 
         draw_paper(found, directory)
         numbers = _numbers(found)
-        write_json(directory / "paper.json", numbers)
+        outputs.write_json(directory / "paper.json", numbers)
     click.echo(_text(numbers))
     click.echo(f"\nIn {directory}: the figures and paper.json")
 

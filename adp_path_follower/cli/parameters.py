@@ -4,7 +4,7 @@ from pathlib import Path as FilePath
 
 import click
 
-from adp_path_follower.cli.options import settings_options
+from adp_path_follower.cli import options
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
 from adp_path_follower.core.settings.schema import describe_table
@@ -24,7 +24,7 @@ nothing changes. Fixed parameters cannot change while the node runs; `ros2 param
 
 
 @click.command()
-@settings_options
+@options.settings_options
 @click.option(
     "--format",
     "form",

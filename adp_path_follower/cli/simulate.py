@@ -7,22 +7,7 @@ from pathlib import Path as FilePath
 import click
 import numpy as np
 
-from adp_path_follower.cli.options import (
-    FILE,
-    collect_starts,
-    path_option,
-    progress_bar,
-    settings_options,
-    simulator_options,
-    start_options,
-)
-from adp_path_follower.cli.outputs import (
-    check_writable,
-    json_option,
-    page_address,
-    write_json,
-    write_npz,
-)
+from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import FileError, PathError
 from adp_path_follower.core.geometry import FloatArray
@@ -49,10 +34,10 @@ _RUNS_DRAWN = 6  # on the page, as there are colours
 
 
 @click.command()
-@settings_options
-@simulator_options
-@path_option
-@start_options
+@options.settings_options
+@options.simulator_options
+@options.path_option
+@options.start_options
 @click.option("--duration", type=float, default=30.0, show_default=True, help="Time [s].")
 @click.option("--rate", type=float, default=100.0, show_default=True, help="Control rate [Hz].")
 @click.option(
@@ -63,21 +48,15 @@ _RUNS_DRAWN = 6  # on the page, as there are colours
     help="cold: the parameters' weights at t = 0; warm: learned at the start until they settle "
     "before the clock runs; frozen: never changed.",
 )
-@click.option(
-    "--weights",
-    "weights_file",
-    type=FILE,
-    metavar="FILE",
-    help="Start from weights that ~/save_weights of the controller wrote.",
+@options.file_option(
+    "--weights", "weights_file", "Start from weights that ~/save_weights of the controller wrote."
 )
-@json_option("Write the outcome of each run")
+@outputs.json_option("Write the outcome of each run")
 @click.option(
     "--allow-failures", is_flag=True, help="Exit with 0 although a run left the path, not 1."
 )
-@click.option("--npz", "npz_file", type=FILE, metavar="FILE", help="Write the trajectories.")
-@click.option(
-    "--report", "page", type=FILE, metavar="FILE", help="Write a page with the first six runs."
-)
+@options.file_option("--npz", "npz_file", "Write the trajectories.")
+@options.file_option("--report", "page", "Write a page with the first six runs.")
 def simulate(
     params: FilePath | None,
     assignments: tuple[str, ...],
@@ -112,7 +91,7 @@ def simulate(
     settings = load_settings(Settings, "path_follower", params, assignments)
     plant, faults = without_nodes(simulator)
     route = named_route(path_name, settings.path)
-    errors = collect_starts(starts, starts_file)
+    errors = options.collect_starts(starts, starts_file)
     if not is_plain(route):
         plain = weights_file is None and npz_file is page is None and learning != "warm"
         if not plain or start_arc_length or faults.entries:
@@ -123,14 +102,14 @@ def simulate(
         _simulate_route(settings, route, errors, duration, rate, learning, plant, json_file)
         return
     path = route.segments[0].path
-    check_writable(json_file, npz_file, page)
+    outputs.check_writable(json_file, npz_file, page)
     if page is not None:
         require("adp simulate --report", "report")
     make_controller: ControllerFactory = PathFollower
     if weights_file is not None:
         make_controller = _starting_from(weights_file, settings)
     begun = time.perf_counter()
-    with progress_bar(f"simulating {len(errors)} runs of {duration:g} s") as progress:
+    with options.progress_bar(f"simulating {len(errors)} runs of {duration:g} s") as progress:
         result = run_simulation(
             settings,
             path,
@@ -149,9 +128,9 @@ def simulate(
     click.echo(_table(result))
     click.echo(_speed(len(errors) * duration, elapsed), err=True)
     if json_file is not None:
-        write_json(json_file, {"runs": _runs(result)})
+        outputs.write_json(json_file, {"runs": _runs(result)})
     if npz_file is not None and result.trajectories is not None:
-        write_npz(npz_file, {"starts": result.starts, **vars(result.trajectories)})
+        outputs.write_npz(npz_file, {"starts": result.starts, **vars(result.trajectories)})
     if page is not None:
         _write_page(result, path, settings, path_name, page)
     failed = int(result.failed.sum())
@@ -183,7 +162,7 @@ def _write_page(
     about = "The virtual target begins at the same place for every run; θ is in radians."
     title = f"Simulated runs on {path_name}"
     write_runs_page(file, title, about, "adp simulate", runs, Table(columns, rows))
-    click.echo(page_address(file))
+    click.echo(outputs.page_address(file))
 
 
 def _simulate_route(
@@ -197,10 +176,10 @@ def _simulate_route(
     json_file: FilePath | None,
 ) -> None:
     """Simulate runs of a route, and write what came out."""
-    check_writable(json_file)
+    outputs.check_writable(json_file)
     learns = settings.learning.learning and learning != "frozen"
     settings = settings.with_changes(learning=learns, path_start="beginning")
-    with progress_bar(f"simulating {len(starts)} runs of {duration:g} s") as progress:
+    with options.progress_bar(f"simulating {len(starts)} runs of {duration:g} s") as progress:
         runs = simulate_route(settings, route, starts, duration, rate, plant, progress)
     click.echo("   s [m]   y [m]  θ [rad]        cost J  goal [s]  backwards [s]   ends at")
     for run in runs:
@@ -209,7 +188,7 @@ def _simulate_route(
         times = f"{goal}  {run.reversed_for:13.2f}"
         click.echo(f"{s:8.3f}{y:8.3f}{theta:9.3f}{run.cost:14.6f}  {times}   ({end})")
     if json_file is not None:
-        write_json(json_file, {"runs": [vars(run) for run in runs]})
+        outputs.write_json(json_file, {"runs": [vars(run) for run in runs]})
 
 
 def _speed(simulated: float, elapsed: float) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adp_path_follower.cli.options import FILE, cluster_options, progress_bar, resumable
+from adp_path_follower.cli import options
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import require
 
@@ -23,8 +23,8 @@ _TIMED = 3  # combinations of a sweep that are timed for --dry-run
 
 
 @click.command()
-@click.argument("file", type=FILE, metavar="SWEEP.yaml")
-@cluster_options
+@click.argument("file", type=options.FILE, metavar="SWEEP.yaml")
+@options.cluster_options
 def sweep(
     file: FilePath,
     directory: FilePath | None,
@@ -126,9 +126,9 @@ def at_work(
     from adp_path_follower.study.sweeps.workers import cluster
 
     with (
-        resumable(),
+        options.resumable(),
         cluster.workers(scheduler, workers) as found,
-        progress_bar(label) as progress,
+        options.progress_bar(label) as progress,
     ):
         yield found, progress
 

@@ -6,14 +6,14 @@ from pathlib import Path as FilePath
 
 import click
 
-from adp_path_follower.cli.options import FILE, cluster_options, settings_options
+from adp_path_follower.cli import options
 from adp_path_follower.cli.sweep import at_work, in_words, needed, say_how_long, tell
 from adp_path_follower.extras import require
 
 
 @click.command()
-@click.argument("file", type=FILE, metavar="[TUNE.yaml]", required=False)
-@settings_options
+@click.argument("file", type=options.FILE, metavar="[TUNE.yaml]", required=False)
+@options.settings_options
 @click.option(
     "--vary",
     multiple=True,
@@ -36,7 +36,7 @@ from adp_path_follower.extras import require
     help="Database of the trials, as in postgresql://user@host/name; machines with the same "
     "storage tune together. A file in DIR if not given.",
 )
-@cluster_options
+@options.cluster_options
 def tune(
     file: FilePath | None,
     params: FilePath | None,

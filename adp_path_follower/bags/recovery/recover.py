@@ -15,21 +15,11 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from adp_path_follower.bags.recovery import mcap_scan
 from adp_path_follower.bags.recovery.definitions import (
     MessageDefinition,
     jazzy_schema,
     message_definition,
-)
-from adp_path_follower.bags.recovery.mcap_scan import (
-    LATEST_TIME,
-    MAGIC,
-    MESSAGE_HEAD,
-    Judge,
-    Record,
-    RecordScanner,
-    read_chunk,
-    read_definition,
-    unpack_chunk,
 )
 from adp_path_follower.bags.recovery.metadata import (
     TornMetadata,
@@ -126,7 +116,7 @@ def _storage_files(bag: FilePath) -> list[FilePath]:
         raise FileError(_sqlite_sentence(bag))
     if not head:
         raise FileError(f"bag {bag} is empty: nothing was written before the recording ended")
-    if bag.suffix != ".mcap" and not head.startswith(MAGIC):
+    if bag.suffix != ".mcap" and not head.startswith(mcap_scan.MAGIC):
         raise FileError(f"file {bag} is no MCAP file: give a bag's directory or its .mcap file")
     return [bag]
 
@@ -146,7 +136,7 @@ def _number(part: str) -> tuple[int, str]:
 
 def _has_magic(file: FilePath) -> bool:
     with file.open("rb") as stream:
-        return stream.read(len(MAGIC)) == MAGIC
+        return stream.read(len(mcap_scan.MAGIC)) == mcap_scan.MAGIC
 
 
 class _Copy:
@@ -173,10 +163,10 @@ class _Copy:
 
     def is_whole(self, message: bytes) -> bool:
         """Return whether the body of a message record can be decoded to its last byte."""
-        channel, _, _, _ = MESSAGE_HEAD.unpack_from(message)
+        channel, _, _, _ = mcap_scan.MESSAGE_HEAD.unpack_from(message)
         if channel not in self._channels:
             return False
-        return _meaning(self._channels[channel][2]).fits(message[MESSAGE_HEAD.size :])
+        return _meaning(self._channels[channel][2]).fits(message[mcap_scan.MESSAGE_HEAD.size :])
 
     def add_file(self, file: FilePath, size: int, progress: Callable[[int], None]) -> None:
         self._start_file()
@@ -185,7 +175,7 @@ class _Copy:
                 self._define(definition)
                 self._certain.add((type(definition), definition.id))
             shown = 0
-            for record in RecordScanner(stream, size, self, self._leave).records():
+            for record in mcap_scan.RecordScanner(stream, size, self, self._leave).records():
                 if record.opcode == Opcode.CHUNK:
                     self._add_chunk(record)
                 elif record.opcode == Opcode.MESSAGE and not self._belongs(record.body):
@@ -209,37 +199,37 @@ class _Copy:
     def _leave(self, _: int, length: int) -> None:
         self.bytes_left += length
 
-    def _add_chunk(self, record: Record) -> None:
+    def _add_chunk(self, record: mcap_scan.Record) -> None:
         self._has_chunks = True
-        chunk = read_chunk(record.body, record.length)
-        content = unpack_chunk(chunk) if chunk is not None else None
+        chunk = mcap_scan.read_chunk(record.body, record.length)
+        content = mcap_scan.unpack_chunk(chunk) if chunk is not None else None
         if content is None:
             self._leave(record.offset, len(record.body))
             return
-        scanner = RecordScanner(io.BytesIO(content), len(content), self, self._leave)
+        scanner = mcap_scan.RecordScanner(io.BytesIO(content), len(content), self, self._leave)
         for inner in scanner.records():
             if inner.opcode == Opcode.CHUNK:
                 self._leave(inner.offset, len(inner.body))  # chunks hold no chunks
             else:
                 self._add(inner)
 
-    def _add(self, record: Record) -> None:
+    def _add(self, record: mcap_scan.Record) -> None:
         if record.opcode == Opcode.MESSAGE:
             self._add_message(record)
         elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            definition = read_definition(record.opcode, record.body)
+            definition = mcap_scan.read_definition(record.opcode, record.body)
             if isinstance(definition, Channel):
                 self._defined.add(definition.id)
             if definition is not None and (type(definition), definition.id) not in self._certain:
                 self._define(definition)
 
-    def _add_message(self, record: Record) -> None:
-        channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(record.body)
-        if channel not in self._channels or log_time > LATEST_TIME:
+    def _add_message(self, record: mcap_scan.Record) -> None:
+        channel, sequence, log_time, publish_time = mcap_scan.MESSAGE_HEAD.unpack_from(record.body)
+        if channel not in self._channels or log_time > mcap_scan.LATEST_TIME:
             self._leave(record.offset, len(record.body))
             return
         number, topic, _ = self._channels[channel]
-        message = record.body[MESSAGE_HEAD.size :]
+        message = record.body[mcap_scan.MESSAGE_HEAD.size :]
         self._writer.copy(number, message, log_time, publish_time, sequence)
         self.message_counts[topic] += 1
 
@@ -291,13 +281,15 @@ def _meaning(schema: Schema) -> MessageDefinition:
     return message_definition(schema.name, schema.encoding, schema.data)
 
 
-def _summary_definitions(stream: BinaryIO, size: int, judge: Judge) -> Iterator[Schema | Channel]:
+def _summary_definitions(
+    stream: BinaryIO, size: int, judge: mcap_scan.Judge
+) -> Iterator[Schema | Channel]:
     """Yield schemas and channels at the end of a file, in case the first ones are damaged."""
     start = max(0, size - _MOST_TAIL)
     stream.seek(start)
     tail = stream.read(size - start)
     footer = tail.rfind(_FOOTER)
-    if footer < 0 or not tail.startswith(MAGIC, footer + _FOOTER_SIZE):
+    if footer < 0 or not tail.startswith(mcap_scan.MAGIC, footer + _FOOTER_SIZE):
         return
     begin, _, checksum = struct.unpack_from("<QQI", tail, footer + len(_FOOTER))
     length = start + footer - begin
@@ -307,9 +299,9 @@ def _summary_definitions(stream: BinaryIO, size: int, judge: Judge) -> Iterator[
     summary = stream.read(length)
     if checksum and zlib.crc32(tail[footer : footer + 25], zlib.crc32(summary)) != checksum:
         return
-    scanner = RecordScanner(io.BytesIO(summary), length, judge, lambda *_: None)
+    scanner = mcap_scan.RecordScanner(io.BytesIO(summary), length, judge, lambda *_: None)
     for record in scanner.records():
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            definition = read_definition(record.opcode, record.body)
+            definition = mcap_scan.read_definition(record.opcode, record.body)
             if definition is not None:
                 yield definition

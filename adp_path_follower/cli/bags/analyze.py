@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adp_path_follower.cli.options import (
-    given_topics,
-    out_option,
-    progress_bar,
-    settings_options,
-    topic_options,
-)
-from adp_path_follower.cli.outputs import output_directory, page_address, write_json
+from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.extras import require
@@ -33,9 +26,9 @@ _WITH_TOPICS = re.compile(rf"(?P<bag>.+?):(?P<topics>{_ONE_TOPIC}(?:,{_ONE_TOPIC
 
 @click.command()
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...")
-@out_option("report", "report, figures and numbers")
-@topic_options("path", "cmd", "odom")
-@settings_options
+@options.out_option("report", "report, figures and numbers")
+@options.topic_options("path", "cmd", "odom")
+@options.settings_options
 @click.option(
     "--require",
     "requirements",
@@ -76,23 +69,23 @@ def analyze(
     from adp_path_follower.analysis.metrics import parse_requirement
 
     limits = [parse_requirement(text) for text in requirements]
-    topics = given_topics(odom=odom, cmd=cmd, path=path)
+    topics = options.given_topics(odom=odom, cmd=cmd, path=path)
     given = [_bag_and_topics(bag, topics) for bag in bags]
     shared = load_settings(Settings, "path_follower", params, assignments)
     compared = shared if params is not None or assignments else None
     analyses: list[BagAnalysis] = []
-    with output_directory(directory):
+    with outputs.output_directory(directory):
         names = names_of([bag for bag, _ in given])
         for number, ((bag, own), name) in enumerate(zip(given, names, strict=True), start=1):
             file = "trajectory.tum" if len(bags) == 1 else f"trajectory_{number}.tum"
-            with progress_bar(f"reading {name}") as progress:
+            with options.progress_bar(f"reading {name}") as progress:
                 analyses.append(
                     analyse_bag(
                         bag.resolve(), own, len(bags), directory / file, progress, name, compared
                     )
                 )
         draw_bags(analyses, directory / "figures")
-        write_json(directory / "metrics.json", _numbers(analyses, limits))
+        outputs.write_json(directory / "metrics.json", _numbers(analyses, limits))
         write_report(analyses, limits, directory / "report.html")
     click.echo(metrics_table(analyses))
     for note in dict.fromkeys(f"{item.name}: {note}" for item in analyses for note in item.notes):
@@ -101,7 +94,7 @@ def analyze(
     for text in missed:
         click.echo(f"adp: {text}", err=True)
     click.echo(f"\nIn {directory}: report.html, metrics.json, figures/, trajectory*.tum")
-    click.echo(page_address(directory / "report.html"))
+    click.echo(outputs.page_address(directory / "report.html"))
     sys.exit(1 if missed else 0)
 
 
@@ -111,7 +104,7 @@ def _bag_and_topics(text: str, topics: dict[str, str]) -> tuple[FilePath, dict[s
     if match is None or FilePath(text).exists():
         return FilePath(text), topics
     own = dict(item.split("=", 1) for item in match["topics"].split(","))
-    return FilePath(match["bag"]), {**topics, **given_topics(**own)}
+    return FilePath(match["bag"]), {**topics, **options.given_topics(**own)}
 
 
 def _missed(analyses: list[BagAnalysis], limits: list[Requirement]) -> list[str]:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adp_path_follower.cli.options import given_topics, out_option, topic_options
-from adp_path_follower.cli.outputs import json_option, output_directory, write_json
+from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.files import write_output
 
 if TYPE_CHECKING:  # scipy's solvers, which `--help` need not wait for
@@ -18,9 +17,9 @@ if TYPE_CHECKING:  # scipy's solvers, which `--help` need not wait for
 
 @click.command()
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...")
-@out_option("identify", "robot.yaml and the figure")
-@topic_options("pose", "cmd", "odom")
-@json_option("Write the parameters with their intervals")
+@options.out_option("identify", "robot.yaml and the figure")
+@options.topic_options("pose", "cmd", "odom")
+@outputs.json_option("Write the parameters with their intervals")
 def identify(
     bags: tuple[str, ...],
     directory: FilePath,
@@ -51,8 +50,8 @@ def identify(
     from adp_path_follower.analysis.identification.recording import read_recording
     from adp_path_follower.drawing.run_figures import draw_robot
 
-    topics = given_topics(odom=odom, cmd=cmd, pose=pose)
-    with output_directory(directory):
+    topics = options.given_topics(odom=odom, cmd=cmd, pose=pose)
+    with outputs.output_directory(directory):
         found = identified([read_recording(FilePath(bag), topics) for bag in bags])
         head = f"# The robot of {', '.join(FilePath(bag).name for bag in bags)}, by adp identify.\n"
         write_output(directory / "robot.yaml", head + found.parameter_file())
@@ -66,7 +65,9 @@ def identify(
     if json_file is not None:
         numbers = {item.name: vars(item) for item in found.parameters}
         explained = dict(zip("vw", found.explained, strict=True))
-        write_json(json_file, {"parameters": numbers, "explained": explained, "notes": found.notes})
+        outputs.write_json(
+            json_file, {"parameters": numbers, "explained": explained, "notes": found.notes}
+        )
 
 
 def _table(found: Identification) -> str:

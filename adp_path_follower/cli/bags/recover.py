@@ -6,14 +6,12 @@ import click
 
 from adp_path_follower.bags.recovery.recover import Recovery
 from adp_path_follower.bags.recovery.recover import recover as recover_bag
-from adp_path_follower.cli.options import FILE, progress_bar
+from adp_path_follower.cli import options
 
 
 @click.command()
-@click.argument("bag", type=FILE)
-@click.option(
-    "--out", "output", type=FILE, metavar="DIR", help="The new bag; BAG_recovered by default."
-)
+@click.argument("bag", type=options.FILE)
+@options.file_option("--out", "output", "The new bag; BAG_recovered by default.", "DIR")
 def recover(bag: FilePath, output: FilePath | None) -> None:
     r"""Save what can be read of a torn recording into a new bag.
 
@@ -25,7 +23,7 @@ def recover(bag: FilePath, output: FilePath | None) -> None:
     After a kill -9:
         adp recover adp_run_2025_01_31-12_00_00
     """
-    with progress_bar(f"recovering {bag}") as progress:
+    with options.progress_bar(f"recovering {bag}") as progress:
         recovery = recover_bag(bag, output, progress)
     click.echo(_report(recovery))
 

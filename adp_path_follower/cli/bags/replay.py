@@ -11,20 +11,7 @@ import numpy as np
 from click.core import ParameterSource
 
 from adp_path_follower.bags.reader import Run, read_run
-from adp_path_follower.cli.options import (
-    FILE,
-    given_topics,
-    progress_bar,
-    settings_options,
-    topic_options,
-)
-from adp_path_follower.cli.outputs import (
-    check_figure,
-    check_writable,
-    output_directory,
-    page_address,
-    whole_file,
-)
+from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
@@ -36,24 +23,23 @@ from adp_path_follower.study.replay.write_bag import write_replay
 
 
 @click.command()
-@click.argument("bag", type=FILE)
-@topic_options("path", "cmd", "odom")
-@settings_options
+@click.argument("bag", type=options.FILE)
+@options.topic_options("path", "cmd", "odom")
+@options.settings_options
 @click.option(
     "--closed-loop",
     is_flag=True,
     help="Drive the simulator from the recorded initial pose, instead of the recorded motion.",
 )
-@click.option(
+@options.file_option(
     "--out",
     "directory",
-    type=FILE,
-    metavar="DIR",
-    help="Where bag and report go: a new or empty directory (adp_replay_DATE if it is not given, "
-    "and other parameters or --closed-loop are).",
+    "Where bag and report go: a new or empty directory (adp_replay_DATE if it is not given, and "
+    "other parameters or --closed-loop are).",
+    "DIR",
 )
-@click.option("--csv", "csv_file", type=FILE, metavar="FILE.csv", help="Write both commands.")
-@click.option("--figure", "figure_file", type=FILE, metavar="FILE.png", help="Draw both commands.")
+@options.file_option("--csv", "csv_file", "Write both commands.", "FILE.csv")
+@options.file_option("--figure", "figure_file", "Draw both commands.", "FILE.png")
 @click.option("--report", is_flag=True, help="Write bag and report also where nothing was changed.")
 @click.option(
     "--republish",
@@ -98,9 +84,9 @@ def replay(
     To a live controller:     adp replay my_bag --republish --rate 2
     """
     _refuse_contradictions(republish, closed_loop)
-    check_writable(csv_file, figure_file)
-    check_figure(figure_file)
-    run = read_run(bag, given_topics(odom=odom, cmd=cmd, path=path))
+    outputs.check_writable(csv_file, figure_file)
+    outputs.check_figure(figure_file)
+    run = read_run(bag, options.given_topics(odom=odom, cmd=cmd, path=path))
     if republish:
         _republish(bag, run, rate)
         return
@@ -108,7 +94,11 @@ def replay(
     changed = settings is not None or bool(overlay)
     name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
     is_kept = directory is not None or closed_loop or changed or report
-    output = output_directory(directory or FilePath(name)) if is_kept else contextlib.nullcontext()
+    output = (
+        outputs.output_directory(directory or FilePath(name))
+        if is_kept
+        else contextlib.nullcontext()
+    )
     with output as folder:
         velocity: FloatArray | None = None
         differs = False
@@ -172,7 +162,7 @@ def _republish(bag: FilePath, run: Run, rate: float) -> None:
     begun = None
     if commands is not None and commands.values.any():
         begun = int(commands.arrival[commands.values.any(axis=1)][0])
-    with progress_bar("playing") as progress:
+    with options.progress_bar("playing") as progress:
         count, damaged = republish(bag, run.topics, begun, rate, progress)
     click.echo(f"played {count} messages")
     if damaged:
@@ -186,7 +176,7 @@ def _write_comparison(
     if csv_file is not None:
         table = np.column_stack([found.time, found.recorded, found.replayed])
         header = "time,recorded_v,recorded_w,replayed_v,replayed_w"
-        with whole_file(csv_file) as file:
+        with outputs.whole_file(csv_file) as file:
             np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.17g")
     if figure_file is not None:
         from adp_path_follower.drawing.figure_style import COLORS
@@ -195,7 +185,7 @@ def _write_comparison(
         recorded = found.time, found.recorded, {"color": "0.6", "linewidth": 3, "label": "recorded"}
         replayed = found.time, found.replayed, {"color": COLORS[1], "label": "replayed"}
         title, labels = "Commands to the recorded odometry", ("v [m/s]", "ω [rad/s]")
-        with whole_file(figure_file) as file:
+        with outputs.whole_file(figure_file) as file:
             draw_over_time(file, title, labels, [recorded, replayed])
 
 
@@ -219,12 +209,12 @@ def _write_report(
     analyses = []
     runs = (("recorded", bag, recorded), ("replayed", replayed, new))
     for number, (label, source, names) in enumerate(runs, start=1):
-        with progress_bar(f"reading the {label} run") as progress:
+        with options.progress_bar(f"reading the {label} run") as progress:
             file = directory / f"trajectory_{number}.tum"
             analyses.append(analyse_bag(source.resolve(), names, 2, file, progress))
     write_report(analyses, [], directory / "report.html")
     click.echo(f"In {directory}: report.html, {replayed.name}/ (rosbag2, MCAP), trajectory_*.tum")
-    click.echo(page_address(directory / "report.html"))
+    click.echo(outputs.page_address(directory / "report.html"))
 
 
 def _report(run: Run, found: Replay, weights: ComparedWeights | None) -> str:
