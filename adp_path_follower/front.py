@@ -17,6 +17,7 @@ from adp_path_follower.core.path.library import named_path, path_through
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings as read_settings
 from adp_path_follower.resources import parameter_file
+from sim_unicycle.fault_script import FaultScript, without_nodes
 from sim_unicycle.settings import PlantSettings, simulator_settings
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from adp_path_follower.study.comparison.compare import Comparison
     from adp_path_follower.study.optimum.collocation import Optimum
     from adp_path_follower.study.simulation.simulate import SimulationResult
-    from sim_unicycle.fault_script import FaultScript
 
 _PAPER_START = (-0.5, 0.25, -np.pi / 6.0)
 
@@ -230,8 +230,6 @@ def _settings(given: SettingsLike) -> Settings:
 
 
 def _robot(given: Mapping[str, object] | str | None) -> tuple[PlantSettings, FaultScript]:
-    from adp_path_follower.study.simulation.simulate import without_nodes
-
     return without_nodes(
         simulator_settings({"robot": given} if isinstance(given, str) else given or {})
     )

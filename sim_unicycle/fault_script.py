@@ -7,9 +7,16 @@ from dataclasses import dataclass, fields
 
 from adp_path_follower.core.errors import FileError, SettingsError
 from adp_path_follower.core.files import read_yaml
-from adp_path_follower.core.settings.schema import Value, build, checked, setting_fields, update
+from adp_path_follower.core.settings.schema import (
+    Value,
+    build,
+    checked,
+    flatten,
+    setting_fields,
+    update,
+)
 from adp_path_follower.resources import shipped_file
-from sim_unicycle.settings import MessageFaultSettings, SimulatorSettings
+from sim_unicycle.settings import MessageFaultSettings, PlantSettings, SimulatorSettings
 
 _FIELDS = {field.name: field for field in setting_fields(SimulatorSettings)}
 _CHANGEABLE = tuple(name for name, field in _FIELDS.items() if not field.spec.read_only)
@@ -90,6 +97,26 @@ def read_fault_script(name: str) -> FaultScript:
         except SettingsError as error:
             raise SettingsError(f"file {file}, entry {number}: {error}") from None
     return FaultScript(tuple(found))
+
+
+def without_nodes(settings: SimulatorSettings) -> tuple[PlantSettings, FaultScript]:
+    """Return the plant and the faults; FileError or SettingsError for what only nodes can do."""
+    script = read_fault_script(settings.simulation.fault_script)
+    message_fault = script.changes_messages()
+    if message_fault:
+        raise SettingsError(
+            f"fault_script changes '{message_fault}', but there are no messages here: give it to "
+            "adp demo"
+        )
+    values, plain = flatten(settings), flatten(SimulatorSettings())
+    for field in _FIELDS.values():
+        taken = field.group == "plant" or field.name == "fault_script"
+        if not taken and values[field.name] != plain[field.name]:
+            raise SettingsError(
+                f"setting '{field.name}' is of the simulator node, which does not run here: leave "
+                "it out, or use adp demo"
+            )
+    return settings.plant, script
 
 
 def _entry(entry: object) -> FaultEntry:

@@ -20,7 +20,8 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.robot import ROBOT_MODELS
 from adp_path_follower.extras import is_installed
 from adp_path_follower.study.comparison.controllers import PEERS, known_controllers
-from adp_path_follower.study.simulation.simulate import read_starts, without_nodes
+from adp_path_follower.study.simulation.simulate import read_starts
+from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import SimulatorSettings
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not

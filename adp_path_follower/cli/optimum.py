@@ -19,7 +19,8 @@ from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import config_file
-from adp_path_follower.study.simulation.simulate import simulate, without_nodes
+from adp_path_follower.study.simulation.simulate import simulate
+from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import SimulatorSettings
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not

@@ -24,9 +24,9 @@ from adp_path_follower.study.simulation.simulate import (
     LEARNING_MODES,
     ControllerFactory,
     SimulationResult,
-    without_nodes,
 )
 from adp_path_follower.study.simulation.simulate import simulate as run_simulation
+from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 
 _ROWS_SHOWN = 20

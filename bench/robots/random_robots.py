@@ -36,7 +36,7 @@ from robots import random_robot
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.study.comparison.controllers import Factory
+from adp_path_follower.study.comparison.controllers import ControllerFactory
 from adp_path_follower.study.comparison.peers.lapierre_soetanto import TunedLapierreSoetanto
 from adp_path_follower.study.comparison.peers.lqr import Lqr
 from adp_path_follower.study.comparison.peers.pure_pursuit import (
@@ -45,7 +45,7 @@ from adp_path_follower.study.comparison.peers.pure_pursuit import (
 )
 from adp_path_follower.study.comparison.peers.stanley import TunedStanley
 
-PEERS: dict[str, Factory] = {
+PEERS: dict[str, ControllerFactory] = {
     **{
         f"pure pursuit {distance:g} m": type("Pursuit", (PurePursuit,), {"lookahead": distance})
         for distance in (0.4, 0.6, 0.9, 1.3)

@@ -18,8 +18,9 @@ from adp_path_follower.core.robot.robot import model_of, settings_of
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.comparison.controllers import contenders
-from adp_path_follower.study.simulation.simulate import simulate, without_nodes
+from adp_path_follower.study.simulation.simulate import simulate
 from folders import CONFIG
+from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import PlantSettings, simulator_settings
 from sim_unicycle.unicycle import Unicycle
 

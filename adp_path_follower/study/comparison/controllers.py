@@ -7,15 +7,14 @@ start, v_des = 0.5 m/s, no limits.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from adp_path_follower.core.control.interface import Controller, ControlOutput
+from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.registry import Registry, load_plugins
 from adp_path_follower.core.robot.model import IDEAL, RobotModel
@@ -30,6 +29,7 @@ from adp_path_follower.study.comparison.peers.lapierre_soetanto import (
     TunedLapierreSoetanto,
 )
 from adp_path_follower.study.comparison.peers.lqr import Lqr
+from adp_path_follower.study.comparison.peers.nmpc import Nmpc
 from adp_path_follower.study.comparison.peers.pure_pursuit import (
     PurePursuit,
     RegulatedPurePursuit,
@@ -39,23 +39,14 @@ from adp_path_follower.study.comparison.peers.pure_pursuit import (
 from adp_path_follower.study.comparison.peers.stanley import Stanley, TunedStanley
 from adp_path_follower.study.simulation.simulate import ControllerFactory
 
-Factory = Callable[[Settings, Path, FloatArray], Controller]
-
 
 @dataclass(frozen=True)
 class Peer:
     """A controller to compare with."""
 
     description: str  # description, and where it is published
-    factory: Factory  # makes it from settings, path and the virtual targets' arc lengths (B,) [m]
+    factory: ControllerFactory  # makes it
     control_rate: float | None = None  # steps per second [Hz]; None for the simulation's
-
-
-def _nmpc(settings: Settings, path: Path, arc_length: FloatArray) -> Controller:
-    """Make the only peer that needs CasADi; raise AdpError if it is missing."""
-    from adp_path_follower.study.comparison.peers.nmpc import Nmpc
-
-    return Nmpc(settings, path, arc_length)
 
 
 PEERS = {  # by their names in tables and on the command line
@@ -90,7 +81,7 @@ PEERS = {  # by their names in tables and on the command line
     ),
     "nmpc": Peer(
         "Nonlinear model predictive control over 3 s (CasADi), with the curvature ahead",
-        _nmpc,
+        Nmpc,  # the only one that needs CasADi
         control_rate=20.0,
     ),
 }
@@ -109,7 +100,7 @@ RATE = 100.0  # [Hz]
 
 
 def register_peer(
-    name: str, factory: Factory, description: str = "", control_rate: float | None = None
+    name: str, factory: ControllerFactory, description: str = "", control_rate: float | None = None
 ) -> None:
     """Register a controller, so that `adp compare --controllers NAME` runs it with the others.
 

@@ -114,7 +114,7 @@ class OptimumSolver:
                 f"be finite, the horizon above {robot.command_delay:g} and at most {_LONGEST:g}"
             )
         self.problem = Problem(settings, path, start_arc_length, 1.5 * horizon, robot)
-        self._mesh = functools.lru_cache(_MOST_MESHES)(self._transcribed)
+        self._mesh = functools.lru_cache(_MOST_MESHES)(functools.partial(_Mesh, self.problem))
 
     def solve(self, start: FloatArray, ways: Sequence[Motion] = ()) -> Optimum:
         """Return the optimal motion from an initial error [s, y, theta], shape (3,).
@@ -191,9 +191,6 @@ class OptimumSolver:
             )
         return refined
 
-    def _transcribed(self, breaks: tuple[float, ...]) -> _Mesh:
-        return _Mesh(self.problem, np.array(breaks))
-
 
 def _change(motion: Motion, other: Motion) -> float:
     """Return by how much J differs, relative; 0 where both have nothing to win."""
@@ -222,7 +219,8 @@ def _prolonged(breaks: tuple[float, ...]) -> tuple[float, ...]:
 class _Mesh:
     """The transcribed problem on one mesh; the start is a parameter."""
 
-    def __init__(self, problem: Problem, breaks: FloatArray) -> None:
+    def __init__(self, problem: Problem, times: tuple[float, ...]) -> None:
+        breaks = np.array(times)
         intervals, steps = len(breaks) - 1, np.diff(breaks)
         points = np.array(casadi.collocation_points(_DEGREE, "radau"))
         derivative, _, quadrature = casadi.collocation_coeff(points.tolist())

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -13,23 +13,24 @@ from numpy.typing import ArrayLike
 from adp_path_follower import criteria
 from adp_path_follower.core.control.cost import MotionCost
 from adp_path_follower.core.control.interface import Controller, ControlOutput
+from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.driving.output import FollowerOutput
-from adp_path_follower.core.errors import AdpError, SettingsError
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.robot.robot import Robot
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.core.settings.schema import flatten, setting_fields, update
+from adp_path_follower.core.settings.schema import update
 from adp_path_follower.resources import FORTY_STARTS
-from adp_path_follower.study.simulation.modelled import ModelledController
 from adp_path_follower.study.simulation.trajectories import (
     Trajectories,
     TrajectoryRecorder,
     weights_of,
 )
-from sim_unicycle.fault_script import FaultScript, read_fault_script
+from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings, SimulatorSettings
 from sim_unicycle.unicycle import Unicycle
 
@@ -174,7 +175,7 @@ def simulate(
         if learning == "warm" and isinstance(follower, PathFollower):
             ahead = duration * settings.target.desired_speed + _WARM_MARGIN
             follower.learn_at_rest(robot.pose, ahead)
-        chosen = ModelledController(model_settings, follower, places) if modelled else follower
+        chosen = _Modelled(model_settings, follower, places) if modelled else follower
 
         def note(step: int, output: ControlOutput, pose: FloatArray) -> None:
             if recorder is not None:
@@ -231,6 +232,45 @@ def _block_size(settings: Settings, path: Path, duration: float) -> int:
     return int(np.clip(_MOST_BYTES / (8.0 * weights), 1, _BLOCK))
 
 
+class _Modelled:
+    """A controller on the estimator and the model of its robot, as the node runs its own.
+
+    It is asked for the pose at which its command will act. Error, target and arc length in the
+    output are those of the present pose.
+    """
+
+    def __init__(self, settings: Settings, controller: Controller, arc_length: FloatArray) -> None:
+        """Take the settings of the robot's model, and where the target starts [m], shape (1,)."""
+        self.settings, self.path = settings, controller.path
+        self._controller, self._robot = controller, Robot(settings)
+        self.reference = getattr(controller, "reference", None)
+        self._target = VirtualTarget(self.path, settings.target, arc_length, self.reference)
+        self._time = self._then = 0  # [ns]
+
+    def step(self, pose: FloatArray, dt: float, motion: FloatArray) -> ControlOutput:
+        """Return the command for a pose (1, 3) and v, w and age of the odometry (1, 3)."""
+        first = self._time == 0
+        self._time += round(1e9 * dt)
+        ahead, then = self._robot.ahead(pose[0], self._time, motion[0])
+        if first and then > self._time and hasattr(self._controller, "lead"):
+            self._controller.lead(pose, ahead[None], (then - self._time) * 1e-9)
+        elapsed, self._then = 0.0 if first else (then - self._then) * 1e-9, then
+        if isinstance(self._controller, PathFollower):
+            self._controller.law.robot_is_ideal = self._robot.ideal
+        output = self._controller.step(ahead[None], elapsed)
+        command = self._robot.command(output.command[0])
+        self._robot.learn()
+        frame, error = self._target.move(pose, dt)
+        return replace(
+            output,
+            command=command[None],
+            error=error,
+            target_pose=frame.pose,
+            arc_length=self._target.arc_length,
+            curvature=frame.curvature,
+        )
+
+
 class _ClosedLoop:
     """One block of runs: plant, controller and the cost along the way."""
 
@@ -239,7 +279,7 @@ class _ClosedLoop:
         settings: Settings,
         path: Path,
         starts: FloatArray,
-        controller: Controller | ModelledController,
+        controller: Controller | _Modelled,
         robot: Unicycle,
         faults: FaultScript | None,
     ) -> None:
@@ -267,7 +307,7 @@ class _ClosedLoop:
         for step in range(steps + 1):
             pose, motion = self._robot.present_pose(), self._robot.measured_motion()
             begun = time.perf_counter()
-            if isinstance(self._controller, ModelledController):
+            if isinstance(self._controller, _Modelled):
                 output = self._controller.step(pose, period, motion)
             else:
                 output = self._controller.step(pose, period)
@@ -331,10 +371,11 @@ class _ClosedLoop:
 
 
 def _joined(blocks: list[SimulationResult], trajectories: Trajectories | None) -> SimulationResult:
-    names = {item.name for item in fields(SimulationResult)} - {"weights", "step_time"}
+    own = ("weights", "step_time", "trajectories")
     joined: dict[str, Any] = {
-        name: np.concatenate([getattr(block, name) for block in blocks])
-        for name in names - {"trajectories"}
+        item.name: np.concatenate([getattr(block, item.name) for block in blocks])
+        for item in fields(SimulationResult)
+        if item.name not in own
     }
     critic = np.concatenate([block.weights.critic for block in blocks])
     actor = np.concatenate([block.weights.actor for block in blocks])
@@ -342,23 +383,3 @@ def _joined(blocks: list[SimulationResult], trajectories: Trajectories | None) -
     return SimulationResult(
         **joined, weights=Weights(critic, actor), step_time=step_time, trajectories=trajectories
     )
-
-
-def without_nodes(settings: SimulatorSettings) -> tuple[PlantSettings, FaultScript]:
-    """Return the plant and the faults; FileError or SettingsError for what only nodes can do."""
-    script = read_fault_script(settings.simulation.fault_script)
-    message_fault = script.changes_messages()
-    if message_fault:
-        raise SettingsError(
-            f"fault_script changes '{message_fault}', but there are no messages here: give it to "
-            "adp demo"
-        )
-    values, plain = flatten(settings), flatten(SimulatorSettings())
-    for field in setting_fields(SimulatorSettings):
-        taken = field.group == "plant" or field.name == "fault_script"
-        if not taken and values[field.name] != plain[field.name]:
-            raise SettingsError(
-                f"setting '{field.name}' is of the simulator node, which does not run here: leave "
-                "it out, or use adp demo"
-            )
-    return settings.plant, script

@@ -22,11 +22,10 @@ from adp_path_follower.study.simulation.simulate import (
     LEARNING_MODES,
     PAPER_START,
     read_starts,
-    without_nodes,
 )
 from adp_path_follower.study.sweeps.request.entries import errors_in, section
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
-from sim_unicycle.fault_script import FaultScript
+from sim_unicycle.fault_script import FaultScript, without_nodes
 from sim_unicycle.settings import PlantSettings, simulator_settings
 
 CONDITION_ENTRIES = ("params", "set", "starts", "robots", "noise_seeds")
