@@ -162,11 +162,7 @@ def _settling_time(drive: Drive) -> float:
     chosen = (recorded.time >= 0.0) & (recorded.time <= drive.end)
     if not chosen.any():
         return math.nan
-    order = np.argsort(recorded.time[chosen], kind="stable")
-    time, settled = (
-        recorded.time[chosen][order],
-        criteria.is_settled(recorded.values[chosen][order]),
-    )
+    time, settled = recorded.time[chosen], criteria.is_settled(recorded.values[chosen])
     if settled.all():  # there was nothing to settle
         return math.nan
     # Since the robot was told to move: the first error may be told of a little later.

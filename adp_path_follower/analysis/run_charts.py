@@ -149,13 +149,9 @@ def _track(drive: Drive, bags: int) -> Track:
     steady = drive.driving & drive.compared & (drive.odometry.time >= transient(drive.end))
     target = None
     if beside and "target" in drive.learner and len(drive.learner["target"].time):
-        recorded = drive.learner["target"]
-        order = np.argsort(recorded.time, kind="stable")
-        columns = (drawable(recorded.values[order, column]) for column in (0, 1))
-        known = recorded.time[order]
-        target = np.column_stack(
-            [np.interp(time, known, values, left=np.nan, right=np.nan) for values in columns]
-        )
+        known, places = drive.learner["target"].time, drive.learner["target"].values[:, :2].T
+        columns = (np.interp(time, known, drawable(row), np.nan, np.nan) for row in places)
+        target = np.column_stack([*columns])
     return track_of(
         path_line([segment.path for segment in drive.segments if beside], bags),
         time,
@@ -221,45 +217,30 @@ def _robot_panels(drive: Drive, buckets: int) -> dict[str, tuple[Panel, ...]]:
     if told.values.shape[1] != len(told.labels):
         return {}
     columns = dict(zip(told.labels, told.values.T, strict=True))
-    edges = {name: _two_deviations(columns, name) for name in names}
-
-    def lines(name: str) -> list[Line]:
-        around = [line_of(name, told.time, edge, buckets, background=True) for edge in edges[name]]
-        return [*around, line_of(name.partition(" [")[0], told.time, columns[name], buckets)]
-
-    def span(shown: tuple[str, ...], least: float) -> tuple[float, float] | None:
-        parts = [part for name in shown for part in (columns[name], *(e[-1:] for e in edges[name]))]
-        return _axis_around(np.concatenate(parts), least)
-
-    last = {name: float(values[-1]) for name, values in columns.items()}
-    model = RobotModel(
-        delay=last["delay [s]"],
-        linear_lag=last["linear lag [s]"],
-        angular_lag=last["angular lag [s]"],
-        ramp=last[_RAMPS[0]],
-        angular_ramp=last[_RAMPS[1]],
-    )
-    time, values = drive.odometry.time, drive.odometry.values
-    found = {
-        "robot_model": tuple(
-            Panel(
-                label,
-                tuple(line for name in shown for line in lines(name)),
-                span=span(shown, least),
-            )
-            for label, (shown, least) in _PANELS.items()
-        )
-    }
-    if len(drive.commands.time) and np.isfinite([*last.values()][:3]).all():
+    panels = []
+    for label, (shown, least) in _PANELS.items():
+        lines, drawn = [], []
+        for name in shown:
+            values, edges = columns[name], _two_deviations(columns, name)
+            lines += [line_of(name, told.time, edge, buckets, background=True) for edge in edges]
+            lines.append(line_of(name.partition(" [")[0], told.time, values, buckets))
+            drawn += [values, *(edge[-1:] for edge in edges)]
+        panels.append(Panel(label, tuple(lines), span=_axis_around(np.concatenate(drawn), least)))
+    found = {"robot_model": tuple(panels)}
+    *numbers, ramp, angular_ramp = (float(columns[name][-1]) for name in (*names[:3], *_RAMPS))
+    if len(drive.commands.time) and np.isfinite(numbers).all():
+        time, values = drive.odometry.time, drive.odometry.values
         sent, commands = drive.commands.time, drive.commands.values
         poses, encoders = values[:, :3], values[:, 3:]
         recording = Recording(sent, commands, time, poses, encoders, False, sent[:0], ())
+        delay, lag, angular_lag = numbers
+        model = RobotModel(delay, lag, angular_lag, ramp=ramp, angular_ramp=angular_ramp)
         answer = modelled(recording, model)
         found["robot_velocity"] = tuple(
             Panel(
                 label,
                 (
-                    line_of("measured", time, values[:, 3 + part], buckets),
+                    line_of("measured", time, encoders[:, part], buckets),
                     line_of("model", time, answer[:, part], buckets),
                 ),
             )
