@@ -1,8 +1,9 @@
 """The figures of analysed bags as PNG files."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
@@ -19,11 +20,15 @@ def draw_bags(analyses: Sequence[BagAnalysis], directory: FilePath) -> list[File
     charts = [analysis.charts for analysis in analyses]
     panels = dict.fromkeys(key for chart in charts for key in chart.panels)
     histograms = dict.fromkeys(key for chart in charts for key in chart.histograms)
-    drawings: dict[str, Callable[[], Figure]] = {"track.png": partial(_track, analyses)}
-    drawings |= {f"{key}.png": partial(_over_time, analyses, key) for key in panels}
-    drawings |= {f"{key}.png": partial(_histogram, analyses, key) for key in histograms}
+    drawings: dict[str, Any] = {"track.png": ((8.0, 6.0), partial(_track, analyses))}
+    for key in panels:
+        rows = max(len(chart.panels.get(key, ())) for chart in charts)
+        size = 9.0, 1.2 + 2.0 * rows
+        drawings[f"{key}.png"] = size, partial(_over_time, analyses, key, rows)
+    for key in histograms:
+        drawings[f"{key}.png"] = (7.0, 3.5), partial(_histogram, analyses, key)
     if any(analysis.events for analysis in analyses):
-        drawings["events.png"] = partial(_events, analyses)
+        drawings["events.png"] = (9.0, 3.0), partial(_events, analyses)
     return save_figures(drawings, directory)
 
 
@@ -32,8 +37,7 @@ def _plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def _track(analyses: Sequence[BagAnalysis]) -> Figure:
-    figure = Figure(figsize=(8.0, 6.0))
+def _track(analyses: Sequence[BagAnalysis], figure: Figure) -> None:
     axes = figure.subplots()
     for index, analysis in enumerate(analyses):
         track = analysis.charts.track
@@ -52,12 +56,9 @@ def _track(analyses: Sequence[BagAnalysis]) -> Figure:
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.set_title("Path and track")
-    return figure
 
 
-def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
-    rows = max(len(analysis.charts.panels.get(key, ())) for analysis in analyses)
-    figure = Figure(figsize=(9.0, 1.2 + 2.0 * rows))
+def _over_time(analyses: Sequence[BagAnalysis], key: str, rows: int, figure: Figure) -> None:
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     for index, analysis in enumerate(analyses):
         panels = analysis.charts.panels.get(key, ())
@@ -96,11 +97,9 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str) -> Figure:
         count = len(analyses)
         axes[0].legend(handles[-count:], labels[-count:], fontsize=8)
     axes[-1].set_xlabel("time [s]")
-    return figure
 
 
-def _histogram(analyses: Sequence[BagAnalysis], key: str) -> Figure:
-    figure = Figure(figsize=(7.0, 3.5))
+def _histogram(analyses: Sequence[BagAnalysis], key: str, figure: Figure) -> None:
     axes = figure.subplots()
     for index, analysis in enumerate(analyses):
         found = analysis.charts.histograms.get(key)
@@ -118,11 +117,9 @@ def _histogram(analyses: Sequence[BagAnalysis], key: str) -> Figure:
     axes.set_ylabel("how often")
     if len(analyses) > 1:
         axes.legend()
-    return figure
 
 
-def _events(analyses: Sequence[BagAnalysis]) -> Figure:
-    figure = Figure(figsize=(9.0, 3.0))
+def _events(analyses: Sequence[BagAnalysis], figure: Figure) -> None:
     axes = figure.subplots()
     for index, analysis in enumerate(analyses):
         times = [event.time for event in analysis.events]
@@ -133,4 +130,3 @@ def _events(analyses: Sequence[BagAnalysis]) -> Figure:
     axes.set_xlabel("time [s]")
     if len(analyses) > 1:
         axes.legend()
-    return figure

@@ -196,10 +196,35 @@ class BagWriter:
         self._files.append(file)
 
     def _write_metadata(self) -> None:
-        topics = [(topic, self._counts[number]) for number, topic in self._topics.items()]
-        information = bag_information(self._files, topics, self._custom_data)
-        write_metadata(self.directory, {**information, **self._information})
+        write_metadata(self.directory, {**self._content(), **self._information})
         self._metadata_is_old = False
+
+    def _content(self) -> dict[str, Any]:
+        """Return the usual content of metadata.yaml."""
+        return {
+            "version": _VERSION,
+            "storage_identifier": "mcap",
+            **_span(self._files),
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": topic.name,
+                        "type": topic.type_name,
+                        "serialization_format": topic.message_encoding,
+                        "offered_qos_profiles": list(topic.qos_profiles),
+                        "type_description_hash": topic.type_hash,
+                    },
+                    "message_count": self._counts[number],
+                }
+                for number, topic in self._topics.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.name for file in self._files],
+            "files": [{"path": file.name, **_span([file])} for file in self._files],
+            "custom_data": self._custom_data or None,
+            "ros_distro": "jazzy",
+        }
 
     def _undo(self) -> None:
         """Remove a bag that could not be begun."""
@@ -210,38 +235,6 @@ class BagWriter:
 
 
 _FASTEST_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-def bag_information(
-    files: Sequence[BagFile],
-    topics: Sequence[tuple[TopicDefinition, int]],
-    custom_data: Mapping[str, str],
-) -> dict[str, Any]:
-    """Return the content of metadata.yaml, with files in order and topics' numbers of messages."""
-    return {
-        "version": _VERSION,
-        "storage_identifier": "mcap",
-        **_span(files),
-        "topics_with_message_count": [
-            {
-                "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.type_name,
-                    "serialization_format": topic.message_encoding,
-                    "offered_qos_profiles": list(topic.qos_profiles),
-                    "type_description_hash": topic.type_hash,
-                },
-                "message_count": count,
-            }
-            for topic, count in topics
-        ],
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [file.name for file in files],
-        "files": [{"path": file.name, **_span([file])} for file in files],
-        "custom_data": dict(custom_data) or None,
-        "ros_distro": "jazzy",
-    }
 
 
 def write_metadata(directory: FilePath, information: Mapping[str, Any]) -> None:

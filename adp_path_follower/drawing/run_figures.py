@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -17,17 +18,18 @@ from adp_path_follower.drawing.figure_style import COLORS, STYLE
 _POINTS = 2000  # of a curve
 _LABELS = ("v [m/s]", "ω [rad/s]")
 
+# Name of a file -> size of its figure [inch], and what draws it.
+Drawings = Mapping[str, tuple[tuple[float, float], Callable[[Figure], None]]]
 # Time [s] (N,), measured v, w (N, 2), and those of the model (N, 2).
 Course = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def draw_robot(courses: Sequence[Course], file: FilePath) -> None:
     """Draw each drive over time, one after the other, and measured against modelled velocities."""
-    save_figures({file.name: lambda: _figure(courses)}, file.parent)
+    save_figures({file.name: ((11.0, 6.0), partial(_robot, courses))}, file.parent)
 
 
-def _figure(courses: Sequence[Course]) -> Figure:
-    figure = Figure(figsize=(11.0, 6.0))
+def _robot(courses: Sequence[Course], figure: Figure) -> None:
     panels = figure.subplots(2, 2, width_ratios=[3.0, 1.0])
     for part, ((over_time, scatter), label) in enumerate(zip(panels, _LABELS, strict=True)):
         begin = 0.0
@@ -49,7 +51,6 @@ def _figure(courses: Sequence[Course]) -> Figure:
     panels[0, 0].legend(names[:2], lines[:2], **above)
     panels[1, 0].set_xlabel("time [s]")
     figure.tight_layout()
-    return figure
 
 
 def draw_over_time(
@@ -64,8 +65,7 @@ def draw_over_time(
     A curve has times [s] (N,), values (N, number of labels), and how matplotlib draws it.
     """
 
-    def draw() -> Figure:
-        figure = Figure(figsize=(9.0, 3.0 + 0.9 * len(labels)))
+    def draw(figure: Figure) -> None:
         panels = figure.subplots(len(labels), 1, sharex=True)
         for time, values, style in curves:
             for axes, column in zip(panels, values.T, strict=True):
@@ -78,9 +78,8 @@ def draw_over_time(
         end = max((float(time[-1]) for time, *_ in curves), default=until)
         panels[-1].set(xlabel="time [s]", xlim=(0.0, min(until, end)))
         figure.tight_layout()
-        return figure
 
-    save_figures({file.name: draw}, file.parent)
+    save_figures({file.name: ((9.0, 3.0 + 0.9 * len(labels)), draw)}, file.parent)
 
 
 def plotted(draw: Callable[[Axes], None], axes: Axes | None) -> Axes:
@@ -123,40 +122,43 @@ def draw_figures(
     view: RunView, directory: FilePath, optimum: ReferenceMotion | None = None
 ) -> list[FilePath]:
     """Draw the paper's figures into a directory, the optimum as circles; return the PNG files."""
-    drawings = {
-        "figure_2_path.png": lambda: _path(view, optimum),
-        "figure_3_states.png": lambda: _against_optimum(
-            "Errors to the virtual target",
-            ("s [m]", "y [m]", "θ [rad]"),
-            view.time,
-            view.error,
-            None if optimum is None else (optimum.time, optimum.error),
-        ),
-        "figure_4_controls.png": lambda: _against_optimum(
-            "Inputs beside the feedforward",
-            ("v_e = v − v_ss [m/s]", "ω_e = ω − ω_ss [rad/s]"),
-            view.time,
-            view.modified_input,
-            None if optimum is None else (optimum.time, optimum.modified_input),
-        ),
-        "figure_5_weights.png": lambda: _weights(view),
+    states = partial(
+        _against_optimum,
+        "Errors to the virtual target",
+        ("s [m]", "y [m]", "θ [rad]"),
+        view.time,
+        view.error,
+        None if optimum is None else (optimum.time, optimum.error),
+    )
+    controls = partial(
+        _against_optimum,
+        "Inputs beside the feedforward",
+        ("v_e = v − v_ss [m/s]", "ω_e = ω − ω_ss [rad/s]"),
+        view.time,
+        view.modified_input,
+        None if optimum is None else (optimum.time, optimum.modified_input),
+    )
+    drawings: Drawings = {
+        "figure_2_path.png": ((9.0, 6.0), partial(_path, view, optimum)),
+        "figure_3_states.png": ((9.0, 4.5), states),
+        "figure_4_controls.png": ((9.0, 4.5), controls),
+        "figure_5_weights.png": ((9.0, 4.5), partial(_weights, view)),
     }
     return save_figures(drawings, directory)
 
 
-def save_figures(
-    drawings: Mapping[str, Callable[[], Figure]], directory: FilePath
-) -> list[FilePath]:
+def save_figures(drawings: Drawings, directory: FilePath) -> list[FilePath]:
     """Draw figures by name into a directory, which is made if needed; return their files."""
     directory.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
-        for name, draw in drawings.items():
-            draw().savefig(directory / name, bbox_inches="tight")
+        for name, (size, draw) in drawings.items():
+            figure = Figure(figsize=size)
+            draw(figure)
+            figure.savefig(directory / name, bbox_inches="tight")
     return [directory / name for name in drawings]
 
 
-def _path(view: RunView, optimum: ReferenceMotion | None) -> Figure:
-    figure = Figure(figsize=(9.0, 6.0))
+def _path(view: RunView, optimum: ReferenceMotion | None, figure: Figure) -> None:
     wide, near = figure.subplots(1, 2, width_ratios=[1.0, 1.2])
     for axes in (wide, near):
         axes.plot(*view.path.T, color="0.6", linewidth=3, label="path")
@@ -198,7 +200,6 @@ def _path(view: RunView, optimum: ReferenceMotion | None) -> Figure:
     near.legend(**_BELOW)
     near.set_title("The start (an arrow every second)")
     figure.tight_layout()
-    return figure
 
 
 def _against_optimum(
@@ -207,9 +208,9 @@ def _against_optimum(
     time: FloatArray,
     values: FloatArray,
     optimum: tuple[FloatArray, FloatArray] | None,
-) -> Figure:
+    figure: Figure,
+) -> None:
     """Draw columns over time: the first seconds on the left, the whole run on the right."""
-    figure = Figure(figsize=(9.0, 4.5))
     early, whole = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
     circles: dict[str, Any] = {"marker": "o", "linestyle": "none", "markerfacecolor": "none"}
     for column, label in enumerate(labels):
@@ -228,11 +229,9 @@ def _against_optimum(
     for axes in (early, whole):
         axes.set_xlabel("time [s]")
     figure.tight_layout()
-    return figure
 
 
-def _weights(view: RunView) -> Figure:
-    figure = Figure(figsize=(9.0, 4.5))
+def _weights(view: RunView, figure: Figure) -> None:
     pair = figure.subplots(1, 2, sharey=True)
     both = {"Critic weights": view.critic_weights, "Actor weights": view.actor_weights}
     named = _named_terms(view)
@@ -254,7 +253,6 @@ def _weights(view: RunView) -> Figure:
         pair[1].plot([], [], color="0.75", label=f"{len(view.labels) - len(named)} others")
     pair[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="term of σ")
     figure.tight_layout()
-    return figure
 
 
 def _named_terms(view: RunView) -> list[int]:

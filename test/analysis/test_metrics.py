@@ -227,16 +227,20 @@ def test_the_usual_period_is_one_bar(tmp_path, rate, late):
 
 
 def test_the_picture_of_a_histogram_shows_a_single_count(tmp_path):
+    from matplotlib.figure import Figure
+
     from adp_path_follower.analysis import bag_pngs
 
-    found = analysed(tmp_path, drive_on_line(lambda _: 0.0))
-    (axes,) = bag_pngs._histogram([found], "period").axes
+    found, picture = analysed(tmp_path, drive_on_line(lambda _: 0.0)), Figure()
+    bag_pngs._histogram([found], "period", picture)
+    (axes,) = picture.axes
     assert axes.get_ylim()[0] < 1.0
 
 
 def test_a_curve_has_one_colour_on_the_page_and_in_the_picture(tmp_path):
     pytest.importorskip("plotly", reason="the report needs the extra 'report'")
     from matplotlib.colors import to_hex
+    from matplotlib.figure import Figure
 
     from adp_path_follower.analysis import bag_pngs
     from adp_path_follower.drawing import page_figures
@@ -248,7 +252,8 @@ def test_a_curve_has_one_colour_on_the_page_and_in_the_picture(tmp_path):
         for trace in traces
         if trace.get("hoverinfo") != "skip"
     ]
-    picture = bag_pngs._over_time([found], "weights")
+    picture = Figure()
+    bag_pngs._over_time([found], "weights", 2, picture)
     assert curves == [
         (line.get_label(), to_hex(line.get_color()), line.get_linestyle() == "--")
         for axes in picture.axes

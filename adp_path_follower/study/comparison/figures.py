@@ -1,6 +1,7 @@
 """Figures of the comparison with the peers."""
 
 import math
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from adp_path_follower.drawing.figure_style import COLORS
-from adp_path_follower.drawing.run_figures import save_figures
+from adp_path_follower.drawing.run_figures import Drawings, save_figures
 from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 _LEAST_LOSS = 1e-6  # of J*: what is drawn for less, and for less than nothing
@@ -19,10 +20,11 @@ _OWN = ("adp", "adp_cold")
 
 def draw_comparison(found: Comparison, directory: FilePath) -> list[FilePath]:
     """Draw cost, cross-track error and computing time of one path; return the PNG files."""
-    drawings = {
-        "cost.png": lambda: _cost(found),
-        "cross_track.png": lambda: _cross_track(found),
-        "cost_per_step.png": lambda: _cost_per_step(found),
+    cost_size = 8.5, 0.45 * len(found.outcomes) + 1.6
+    drawings: Drawings = {
+        "cost.png": (cost_size, lambda figure: draw_cost(figure.subplots(), found)),
+        "cross_track.png": ((9.0, 6.0), partial(_cross_track, found)),
+        "cost_per_step.png": ((7.0, 4.5), partial(_cost_per_step, found)),
     }
     return save_figures(drawings, directory)
 
@@ -31,12 +33,6 @@ def _color(name: str) -> str:
     if name in _OWN:
         return COLORS[1]
     return {"nmpc": COLORS[0], "lqr": COLORS[2], "paper": COLORS[3]}.get(name, "0.45")
-
-
-def _cost(found: Comparison) -> Figure:
-    figure = Figure(figsize=(8.5, 0.45 * len(found.outcomes) + 1.6))
-    draw_cost(figure.subplots(), found)
-    return figure
 
 
 def draw_cost(axes: Axes, found: Comparison) -> None:
@@ -73,9 +69,8 @@ def _logarithmic(axes: Axes, x: bool = False, y: bool = False) -> None:
         axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center")
 
 
-def _cross_track(found: Comparison) -> Figure:
+def _cross_track(found: Comparison, figure: Figure) -> None:
     """Draw the distance from the path over the lap, the best controllers apart."""
-    figure = Figure(figsize=(9.0, 6.0))
     panels = figure.subplots(2, 1, sharex=True)
     ranked = sorted(found.outcomes, key=_tracking)
     best = [outcome for outcome in ranked if _tracking(outcome) < 2e-3]
@@ -93,7 +88,6 @@ def _cross_track(found: Comparison) -> Figure:
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
     panels[0].set_title(f"One lap after 10 s, {found.path_name}: below and above 2 mm RMS")
     panels[1].set_xlabel("time [s]")
-    return figure
 
 
 def _tracking(outcome: Outcome) -> float:
@@ -101,8 +95,7 @@ def _tracking(outcome: Outcome) -> float:
     return rms if math.isfinite(rms) else math.inf
 
 
-def _cost_per_step(found: Comparison) -> Figure:
-    figure = Figure(figsize=(7.0, 4.5))
+def _cost_per_step(found: Comparison, figure: Figure) -> None:
     axes: Axes = figure.subplots()
     ranked = sorted(found.outcomes, key=lambda outcome: outcome.quantile(0.95))
     for number, outcome in enumerate(ranked):
@@ -125,4 +118,3 @@ def _cost_per_step(found: Comparison) -> Figure:
     axes.set_xlabel("computing time of one control step [ms], this machine")
     axes.set_ylabel("loss J/J* − 1, 95th percentile")
     axes.set_title(f"Cost against computing time, {found.path_name}")
-    return figure

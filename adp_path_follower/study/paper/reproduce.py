@@ -6,6 +6,7 @@ the printed constants meet the conditions of the paper's own stability theorem?
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -24,7 +25,7 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import update
 from adp_path_follower.drawing.charts import ReferenceMotion, RunView
 from adp_path_follower.drawing.figure_style import COLORS
-from adp_path_follower.drawing.run_figures import draw_figures, save_figures
+from adp_path_follower.drawing.run_figures import Drawings, draw_figures, save_figures
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.optimum.collocation import OptimumSolver
 from adp_path_follower.study.optimum.costate import solve_costates
@@ -225,11 +226,11 @@ def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
         labels=labels,
     )
     files = draw_figures(view, directory, _thinned(found.optimum))
-    drawings = {
-        "long_run.png": lambda: _long_run(found.long_runs, labels),
-        "excitation.png": lambda: _excitation(found.theorem),
-        "gain_conditions.png": lambda: _gain_conditions(found.theorem),
-        "lyapunov.png": lambda: _lyapunov(found.theorem),
+    drawings: Drawings = {
+        "long_run.png": ((9.0, 6.5), partial(_long_run, found.long_runs, labels)),
+        "excitation.png": ((7.0, 3.8), partial(_excitation, found.theorem)),
+        "gain_conditions.png": ((7.0, 3.8), partial(_gain_conditions, found.theorem)),
+        "lyapunov.png": ((7.0, 3.8), partial(_lyapunov, found.theorem)),
     }
     return files + save_figures(drawings, directory)
 
@@ -252,8 +253,7 @@ def _thinned(optimum: ReferenceMotion) -> ReferenceMotion:
 _ABOVE: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 3}
 
 
-def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...]) -> Figure:
-    figure = Figure(figsize=(9.0, 6.5))
+def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...], figure: Figure) -> None:
     lateral, weights = figure.subplots(2, 1, sharex=True)
     for color, run in zip(COLORS, runs, strict=False):
         time = run.trajectories.time
@@ -272,18 +272,16 @@ def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...]) -> Figure:
     for axes in (lateral, weights):
         axes.legend(**_ABOVE)
     figure.tight_layout()
-    return figure
 
 
-def _excitation(theorem: Theorem) -> Figure:
-    figure, axes = _panel("Rank condition: Σ ω ωᵀ / p")
+def _excitation(theorem: Theorem, figure: Figure) -> None:
+    axes = _panel(figure, "Rank condition: Σ ω ωᵀ / p")
     axes.plot(theorem.excitation_time, theorem.excitation, color=COLORS[0])
     axes.set(xlabel="time [s]", ylabel="smallest singular value", ylim=(0.0, None))
-    return figure
 
 
-def _gain_conditions(theorem: Theorem) -> Figure:
-    figure, axes = _panel("The theorem's sufficient gain conditions")
+def _gain_conditions(theorem: Theorem, figure: Figure) -> None:
+    axes = _panel(figure, "The theorem's sufficient gain conditions")
     names = ("q_min", "c_min")
     has = (theorem.least_state_cost, float(theorem.excitation.min()))
     needs = (theorem.cost_needed, theorem.excitation_needed)
@@ -297,21 +295,19 @@ def _gain_conditions(theorem: Theorem) -> Figure:
     axes.set_xticks(place, names)
     axes.legend(**_ABOVE)
     axes.set_title(axes.get_title(), pad=28)
-    return figure
 
 
-def _lyapunov(theorem: Theorem) -> Figure:
-    figure, axes = _panel("Lyapunov candidate V_L = V* + ½‖W̃c‖² + ½‖W̃a‖²")
+def _lyapunov(theorem: Theorem, figure: Figure) -> None:
+    axes = _panel(figure, "Lyapunov candidate V_L = V* + ½‖W̃c‖² + ½‖W̃a‖²")
     axes.plot(theorem.time, theorem.lyapunov, "-o", color=COLORS[0], label="V_L", markersize=3)
     axes.plot(theorem.time, theorem.value, "-o", color=COLORS[1], label="V* alone", markersize=3)
     axes.plot(theorem.time, theorem.residual, "-o", color=COLORS[2], label="‖ε′‖", markersize=3)
     axes.set(xlabel="time [s]", ylabel="value", yscale="log")
     axes.legend()
-    return figure
 
 
-def _panel(title: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.0, 3.8), layout="tight")
+def _panel(figure: Figure, title: str) -> Axes:
+    figure.set_layout_engine("tight")
     axes = figure.subplots()
     axes.set_title(title)
-    return figure, axes
+    return axes
