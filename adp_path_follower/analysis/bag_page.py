@@ -163,17 +163,13 @@ def _rows(analyses: Sequence[BagAnalysis]) -> list[tuple[Metric, list[tuple[str,
 def _best(metric: Metric, analyses: Sequence[BagAnalysis]) -> int:
     """Return which bag has the best value, -1 where none has or they cannot be compared."""
     values = np.array([analysis.metrics[metric.name] for analysis in analyses])
-    comparable = metric.name not in _COSTS or _share_costs(analyses)
+    # Costs are compared where all bags name the same Q, R and speed along the path.
+    asked = {tuple(item.settings.get(name, "") for name in _COST_OF) for item in analyses}
+    comparable = metric.name not in _COSTS or len(asked) == 1
     doubted = any(analysis.trust.doubt(metric.name) for analysis in analyses)
     if not metric.better or doubted or not comparable or np.isfinite(values).sum() < 2:
         return -1
     return int(np.nanargmin(values) if metric.better == "low" else np.nanargmax(values))
-
-
-def _share_costs(analyses: Sequence[BagAnalysis]) -> bool:
-    """Return whether all bags name the same Q, R and speed along the path."""
-    known = {tuple(analysis.settings.get(name, "") for name in _COST_OF) for analysis in analyses}
-    return len(known) == 1
 
 
 def _settings(analyses: Sequence[BagAnalysis]) -> list[tuple[str, list[str], bool]]:

@@ -114,9 +114,8 @@ def optimum(
             found, check_cost, problem = None, None, ""
             try:
                 found = solver.solve(start, ways[index])
-                problem = _unsettled(found, start)
                 check_cost = solve_costates(solver.problem, found.motion).cost if check else None
-                problem = problem or _disagreement(found, check_cost, start)
+                problem = _doubt(found, check_cost, start)
             except OptimumError as error:
                 problem = str(error)
             rows.append(_Row(start, found, check_cost, problem))
@@ -153,23 +152,19 @@ def _ways(
     return ways
 
 
-def _unsettled(found: Optimum, start: FloatArray) -> str:
-    """Return what is wrong with an optimum that is not that of an infinite horizon, if it is."""
-    if found.settled:
-        return ""
-    return (
-        f"optimum from the start {start.tolist()} changes by {found.horizon_change:.1e} with a "
-        "horizon half as long again: give a longer --horizon"
-    )
-
-
-def _disagreement(found: Optimum, check_cost: float | None, start: FloatArray) -> str:
-    """Return by how much the costates' cost differs, if it is too much."""
+def _doubt(found: Optimum, check_cost: float | None, start: FloatArray) -> str:
+    """Return why an optimum is none: its horizon is too short, or the costates' cost differs."""
+    subject = f"optimum from the start {start.tolist()}"
+    if not found.settled:
+        return (
+            f"{subject} changes by {found.horizon_change:.1e} with a horizon half as long again: "
+            "give a longer --horizon"
+        )
     if check_cost is None or abs(check_cost - found.cost) <= _AGREEMENT * found.cost + 1e-9:
         return ""
     return (
-        f"optimum from the start {start.tolist()} is {found.cost:.7g} by collocation, but "
-        f"{check_cost:.7g} by costates: one of the two is a local one, or not exact"
+        f"{subject} is {found.cost:.7g} by collocation, but {check_cost:.7g} by costates: one of "
+        "the two is a local one, or not exact"
     )
 
 

@@ -126,7 +126,9 @@ def simulate(
         )
     elapsed = time.perf_counter() - begun
     click.echo(_table(result))
-    click.echo(_speed(len(errors) * duration, elapsed), err=True)
+    simulated = len(errors) * duration
+    speed = f"{simulated / elapsed:.0f} simulated seconds per second"
+    click.echo(f"simulated {simulated:g} s in {elapsed:.1f} s: {speed}", err=True)
     if json_file is not None:
         outputs.write_json(json_file, {"runs": _runs(result)})
     if npz_file is not None and result.trajectories is not None:
@@ -189,11 +191,6 @@ def _simulate_route(
         click.echo(f"{s:8.3f}{y:8.3f}{theta:9.3f}{run.cost:14.6f}  {times}   ({end})")
     if json_file is not None:
         outputs.write_json(json_file, {"runs": [vars(run) for run in runs]})
-
-
-def _speed(simulated: float, elapsed: float) -> str:
-    each = simulated / elapsed
-    return f"simulated {simulated:g} s in {elapsed:.1f} s: {each:.0f} simulated seconds per second"
 
 
 def _starting_from(file: FilePath, settings: Settings) -> ControllerFactory:

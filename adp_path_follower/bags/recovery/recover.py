@@ -77,9 +77,11 @@ def recover(
     writer = BagWriter(target, metadata.custom_data, chunked=True, information=metadata.kept)
     copy = _Copy(writer, metadata)
     try:
-        total = max(1, sum(sizes))
-        for index, (file, size) in enumerate(zip(files, sizes, strict=True)):
-            copy.add_file(file, size, _shifted(progress, sum(sizes[:index]), total))
+        done, total = 0, max(1, sum(sizes))
+        for file, size in zip(files, sizes, strict=True):
+            for offset in copy.add_file(file, size):
+                progress((done + offset) / total)
+            done += size
         if not copy.message_counts and not any(map(_has_magic, files)):
             raise FileError(f"bag {bag} holds nothing that could be recovered: is it an MCAP bag?")
         writer.close()
@@ -119,11 +121,6 @@ def _storage_files(bag: FilePath) -> list[FilePath]:
     if bag.suffix != ".mcap" and not head.startswith(mcap_scan.MAGIC):
         raise FileError(f"file {bag} is no MCAP file: give a bag's directory or its .mcap file")
     return [bag]
-
-
-def _shifted(progress: Callable[[float], None], before: int, total: int) -> Callable[[int], None]:
-    """Return what takes the place in a file and reports the fraction of all files."""
-    return lambda offset: progress((before + offset) / total)
 
 
 def _sqlite_sentence(bag: FilePath) -> str:
@@ -168,7 +165,8 @@ class _Copy:
             return False
         return _meaning(self._channels[channel][2]).fits(message[mcap_scan.MESSAGE_HEAD.size :])
 
-    def add_file(self, file: FilePath, size: int, progress: Callable[[int], None]) -> None:
+    def add_file(self, file: FilePath, size: int) -> Iterator[int]:
+        """Copy a file; yield how far it is, from time to time."""
         self._start_file()
         with file.open("rb") as stream:
             for definition in _summary_definitions(stream, size, self):
@@ -183,7 +181,7 @@ class _Copy:
                 else:
                     self._add(record)
                 if record.offset >= shown:
-                    progress(record.offset)
+                    yield record.offset
                     shown = record.offset + _PROGRESS_STEP
 
     def _belongs(self, message: bytes) -> bool:

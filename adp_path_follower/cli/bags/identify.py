@@ -12,7 +12,7 @@ from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.files import write_output
 
 if TYPE_CHECKING:  # scipy's solvers, which `--help` need not wait for
-    from adp_path_follower.analysis.identification.identify import Identification, Parameter
+    from adp_path_follower.analysis.identification.identify import Identification
 
 
 @click.command()
@@ -72,19 +72,18 @@ def identify(
 
 def _table(found: Identification) -> str:
     lines = [f"{'':18}{'value':>10}     95 % interval"]
-    lines += [_line(item) for item in found.parameters]
+    for item in found.parameters:
+        if item.drive:
+            lines.append(f"{item.name:18}{'not told':>10}     {item.drive}")
+        elif math.isfinite(item.value):
+            interval = f"{item.low:.4g} … {item.high:.4g} {item.unit}".rstrip()
+            lines.append(f"{item.name:18}{item.value:10.4g}     {interval}")
+        else:
+            lines.append(f"{item.name:18}{'–':>10}")
     shares = [
         f"{100.0 * share:.1f} % of {name}"
         for name, share in zip("vω", found.explained, strict=True)
         if math.isfinite(share)
     ]
-    return "\n".join([*lines, *([f"the model explains {' and '.join(shares)}"] if shares else [])])
-
-
-def _line(item: Parameter) -> str:
-    if item.drive:
-        return f"{item.name:18}{'not told':>10}     {item.drive}"
-    if not math.isfinite(item.value):
-        return f"{item.name:18}{'–':>10}"
-    interval = f"{item.low:.4g} … {item.high:.4g}"
-    return f"{item.name:18}{item.value:10.4g}     {interval} {item.unit}".rstrip()
+    lines += [f"the model explains {' and '.join(shares)}"] if shares else []
+    return "\n".join(lines)

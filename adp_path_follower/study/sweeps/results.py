@@ -106,8 +106,10 @@ def results_text(found: Results) -> str:
         return "\n".join(lines)
     best = score_of(found.best)
     lines += ["", _table(found.before, best)]
-    if found.before is not None and not _better(found.request, found.before, best):
-        lines.append("Nothing is better than the settings before.")
+    if found.before is not None and not found.before.unstable:
+        scores = best.objectives, found.before.objectives
+        if all(scores[0][name] >= scores[1][name] for name in found.request.objectives):
+            lines.append("Nothing is better than the settings before.")
     if len(found.front) > 1:
         chosen = "the most even compromise" if isinstance(found.request, Tuning) else "the first"
         lines.append(f"{len(found.front)} settings are on the Pareto front; these are {chosen}")
@@ -219,12 +221,6 @@ def _where(item: Variation, values: list[Value]) -> str:
         return f"{shown(commonest)} in {values.count(commonest)} of {len(values)}"
     numbers = np.array(values, dtype=float)
     return f"{numbers.min():.4g} to {numbers.max():.4g}"
-
-
-def _better(request: Request, before: Score, best: Score) -> bool:
-    return bool(before.unstable) or any(
-        best.objectives[name] < before.objectives[name] for name in request.objectives
-    )
 
 
 def _table(before: Score | None, best: Score) -> str:
