@@ -105,32 +105,21 @@ class BackgroundFile:
                 self._changed.notify_all()
 
     def _write_waiting(self) -> None:
-        """Write all pieces that wait, or as many as there is room for."""
-        with self._changed:
-            pieces = list(self._waiting)
-        data = memoryview(b"".join(pieces))
-        done = 0
-        try:
-            while done < len(data):
-                done += os.write(self._descriptor, data[done:])
-        except OSError:
-            self._forget(pieces, done)
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._descriptor, self._written)
-            raise
-        self._forget(pieces, done)
-
-    def _forget(self, pieces: list[bytes], done: int) -> None:
-        """Take the pieces that fit in the bytes that were written from those that wait."""
-        with self._changed:
-            for piece in pieces:
-                if len(piece) > done:
-                    break
-                done -= len(piece)
-                self._written += len(piece)
-                self._waiting_bytes -= len(piece)
+        """Write all pieces that wait, each whole, or as many as there is room for."""
+        while self._waiting:
+            piece = rest = memoryview(self._waiting[0])
+            try:
+                while rest:
+                    rest = rest[os.write(self._descriptor, rest) :]
+            except OSError:
+                with contextlib.suppress(OSError):
+                    os.ftruncate(self._descriptor, self._written)
+                raise
+            with self._changed:
                 self._waiting.popleft()
-            self._changed.notify_all()
+                self._waiting_bytes -= len(piece)
+                self._written += len(piece)
+                self._changed.notify_all()
 
 
 COMPRESSIONS = ("none", "zstd")
