@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from adp_path_follower.analysis.recorded_run import Drive
+from adp_path_follower.core.control.cost import MotionCost
 from adp_path_follower.core.control.error_dynamics import target_speed
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
@@ -16,12 +18,7 @@ from adp_path_follower.core.path.progress import new_start
 from adp_path_follower.core.path.route import route_of
 from adp_path_follower.core.path.speed_profile import speed_from_rest
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.study.optimum.reference import (
-    COST_HORIZON,
-    cost_over_horizon,
-    is_paper_problem,
-    paper_optimum,
-)
+from adp_path_follower.study.optimum.reference import COST_HORIZON, is_paper_problem, paper_optimum
 
 _NOISES = 3.0  # times the cost of the noise from which on J* is none
 _LEAST_OPTIMUM = 1e-4  # J* of a start half a centimetre beside the path
@@ -66,11 +63,9 @@ def costs_of(drive: Drive, settings: Settings | None) -> Costs:
     start = float(drive.projection.arc_length[place[0]])
     if drive.settings is not None:  # our own controller has its rule
         start = new_start(route_of(path), poses[0], settings.controller).arc_length
-    arc_lengths, error = _virtual_target(settings, path, time, poses, start)
-    cost = cost_over_horizon(
-        settings, path, time, poses, drive.commands.values[chosen][:count], arc_lengths
-    )
-    optimum, motion, notes = _optimum(settings, path, float(arc_lengths[0]), error)
+    commands = drive.commands.values[chosen][:count]
+    cost, arc_length, error = _cost(settings, path, time, poses, commands, start)
+    optimum, motion, notes = _optimum(settings, path, arc_length, error)
     weights = settings.cost.state_cost_matrix()
     noise = COST_HORIZON * float(weights[0, 0] + weights[1, 1]) * drive.motion.noise**2
     ratio, doubt = _cost_ratio(cost, optimum, max(_LEAST_OPTIMUM, _NOISES * noise))
@@ -100,18 +95,31 @@ def _cost_ratio(cost: float, optimum: float, least: float) -> tuple[float, tuple
     return ratio, (f"{said}: sampling and noise of the odometry make the difference",)
 
 
-def _virtual_target(
-    settings: Settings, path: Path, time: FloatArray, poses: FloatArray, start: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the virtual target's arc length at each step, shape (N,), and the first error (3,)."""
-    reference = speed_from_rest(path, settings, start)
-    target = VirtualTarget(path, settings.target, start, reference)
-    arc_lengths, first = np.zeros(len(time)), np.zeros(3)
-    for step, period in enumerate(np.diff(time, prepend=0.0).tolist()):
-        _, error = target.move(poses[step], period)
-        arc_lengths[step] = float(target.arc_length)
-        first = error if step == 0 else first
-    return arc_lengths, first
+def _cost(
+    settings: Settings,
+    path: Path,
+    time: FloatArray,
+    poses: FloatArray,
+    commands: FloatArray,
+    start: float,
+) -> tuple[float, float, FloatArray]:
+    """Return J over the horizon, NaN for a shorter run; the target's first place and error (3,).
+
+    The N control steps have the time since the first [s] (N,), poses [x, y, theta] (N, 3), along
+    which the next commands [v, w] (N, 2) lead. The virtual target starts at an arc length [m].
+    """
+    target = VirtualTarget(path, settings.target, start, speed_from_rest(path, settings, start))
+    _, first = target.move(poses[0], 0.0)
+    place = float(target.arc_length)
+    total = 0.0 if time[-1] >= COST_HORIZON - 1e-6 else math.nan
+    motion_cost = MotionCost(settings, path, speed_from_rest(path, settings, place))
+    for step, period in enumerate(np.diff(time).tolist()):
+        if time[step] < COST_HORIZON - 1e-6:
+            arc_length: Any = np.float64(target.arc_length)  # a number is faster than an array
+            spent, _ = motion_cost(poses[step], commands[step], arc_length, period)
+            total += float(spent)
+        target.move(poses[step + 1], period)
+    return total, place, first
 
 
 def _optimum(

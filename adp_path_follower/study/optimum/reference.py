@@ -1,17 +1,15 @@
 """The stored optimum of the paper's problem, and costs compared with it."""
 
 import json
-import math
 
 import numpy as np
 
 from adp_path_follower.core.control import error_dynamics
-from adp_path_follower.core.control.cost import MotionCost
 from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous
-from adp_path_follower.core.path.speed_profile import SpeedProfile, speed_from_rest
+from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.drawing.charts import ReferenceMotion
@@ -31,34 +29,6 @@ def paper_optimum() -> ReferenceMotion:
         error=np.array(content["e"]),
         modified_input=np.array(content["u"]),
     )
-
-
-def cost_over_horizon(
-    settings: Settings,
-    path: Path,
-    time: FloatArray,
-    poses: FloatArray,
-    commands: FloatArray,
-    arc_lengths: FloatArray,
-) -> float:
-    """Return J over the horizon, from each pose along the next command; NaN for a shorter run.
-
-    `settings` give cost and target. The N control steps have the time since the first [s]
-    (N,), poses [x, y, theta] (N, 3), commands [v, w] (N, 2) and places of the target [m] (N,).
-    """
-    if not len(time) or time[-1] < COST_HORIZON - 1e-6:
-        return math.nan
-    reference = speed_from_rest(path, settings, arc_lengths[0])
-    total, motion_cost = 0.0, MotionCost(settings, path, reference)
-    for step in np.flatnonzero(time[:-1] < COST_HORIZON - 1e-6):
-        spent, _ = motion_cost(
-            poses[step],
-            commands[step],
-            arc_lengths[step],
-            float(time[step + 1] - time[step]),
-        )
-        total += float(spent)
-    return total
 
 
 def is_paper_problem(
