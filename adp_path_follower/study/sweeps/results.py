@@ -3,7 +3,6 @@
 import json
 import warnings
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path as FilePath
 from typing import Any
@@ -225,19 +224,19 @@ def _where(item: Variation, values: list[Value]) -> str:
 
 def _table(before: Score | None, best: Score) -> str:
     unit = "J/J*" if best.relative else "J"
-    numbers: dict[str, Callable[[Score], float]] = {
-        f"{unit}, mean": lambda score: score.objectives["cost"],
-        f"{unit}, median": lambda score: score.median,
-        f"{unit}, 95 %": lambda score: score.high,
-        f"{unit}, greatest": lambda score: score.objectives["worst_case"],
-        "effort, mean": lambda score: score.objectives["effort"],
-        "cross-track RMS [m]": lambda score: score.objectives["cross_track"],
-        "cross-track, greatest [m]": lambda score: score.objectives["worst_cross_track"],
+    names = {
+        "cost": f"{unit}, mean",
+        "median": f"{unit}, median",
+        "high": f"{unit}, 95 %",
+        "worst_case": f"{unit}, greatest",
+        "effort": "effort, mean",
+        "cross_track": "cross-track RMS [m]",
+        "worst_cross_track": "cross-track, greatest [m]",
     }
     columns = {"found": best} if before is None else {"before": before, "found": best}
     rows = [("", *columns)]
-    for name, of in numbers.items():
-        values = map(of, columns.values())
+    for key, name in names.items():
+        values = [{**vars(score), **score.objectives}[key] for score in columns.values()]
         rows.append((name, *(f"{value:.4f}" if value < 1e6 else "–" for value in values)))
     rows.append(("unstable runs", *(str(score.unstable) for score in columns.values())))
     return "\n".join(f"{name:28}" + "".join(f"{cell:>12}" for cell in row) for name, *row in rows)

@@ -6,9 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adp_path_follower.core.geometry import FloatArray
+
 UNSTABLE_SCORE = 1e9  # stands for no number: a run is lost, or never settles
 
 Columns = Mapping[str, np.ndarray]
+
+
+def _rms(values: FloatArray) -> float:
+    return math.sqrt(float(np.mean(values**2)))
 
 
 @dataclass(frozen=True)
@@ -17,46 +23,31 @@ class Objective:
 
     meaning: str  # in words
     unit: str  # unit of the number
-    of: Callable[[Columns], float]  # returns it from the columns of all runs with the same settings
-
-
-def cost_column(columns: Columns) -> np.ndarray:
-    """Return J/J* of each run if it is known of all, J otherwise."""
-    known = np.isfinite(columns["optimal_cost"]).all()
-    return np.asarray(columns["cost_ratio" if known else "cost"], dtype=float)
+    column: str  # of all runs with the same settings; "cost" is J/J*, or J if J* is not known
+    reduce: Callable[[FloatArray], float]  # makes one number of the column
 
 
 OBJECTIVES = {  # by the names that files give them
     "cost": Objective(
-        "mean J/J* of the runs, or mean J where J* is not known of all",
-        "",
-        lambda columns: float(np.mean(cost_column(columns))),
+        "mean J/J* of the runs, or mean J where J* is not known of all", "", "cost", np.mean
     ),
     "worst_case": Objective(
-        "greatest J/J* (or J) of any run: over starts, paths, robots and noise",
-        "",
-        lambda columns: float(np.max(cost_column(columns))),
+        "greatest J/J* (or J) of any run: over starts, paths, robots and noise", "", "cost", np.max
     ),
-    "effort": Objective(
-        "mean ∫ uᵀRu of the runs",
-        "",
-        lambda columns: float(np.mean(columns["effort"])),
-    ),
+    "effort": Objective("mean ∫ uᵀRu of the runs", "", "effort", np.mean),
     "cross_track": Objective(
         "RMS distance from the path after the transient, over all runs",
         "m",
-        lambda columns: math.sqrt(float(np.mean(columns["cross_track_rms"] ** 2))),
+        "cross_track_rms",
+        _rms,
     ),
     "worst_cross_track": Objective(
         "greatest distance from the path after the transient, of any run",
         "m",
-        lambda columns: float(np.max(columns["cross_track_max"])),
+        "cross_track_max",
+        np.max,
     ),
-    "settling_time": Objective(
-        "longest settling time of any run",
-        "s",
-        lambda columns: float(np.max(columns["settling_time"])),
-    ),
+    "settling_time": Objective("longest settling time of any run", "s", "settling_time", np.max),
 }
 
 
@@ -75,15 +66,17 @@ class Score:
 
 def score_of_runs(columns: Columns) -> Score:
     """Return the score of runs: column name -> values, shape (N,)."""
-    cost = cost_column(columns)
+    relative = bool(np.isfinite(columns["optimal_cost"]).all())
+    cost = np.asarray(columns["cost_ratio" if relative else "cost"], dtype=float)
+    judged = {**columns, "cost": cost}
     median, high = np.quantile(
         np.where(np.isfinite(cost), cost, math.inf), [0.5, 0.95], method="higher"
     )
     return Score(
-        {name: _number(objective.of(columns)) for name, objective in OBJECTIVES.items()},
+        {name: _number(item.reduce(judged[item.column])) for name, item in OBJECTIVES.items()},
         runs=len(cost),
         unstable=int((~columns["stable"].astype(bool)).sum()),
-        relative=bool(np.isfinite(columns["optimal_cost"]).all()),
+        relative=relative,
         median=_number(median),
         high=_number(high),
         problem=next((str(text) for text in columns["problem"] if text), ""),

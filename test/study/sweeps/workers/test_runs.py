@@ -21,7 +21,7 @@ from adp_path_follower.study.sweeps.request.conditions import (
     Robot,
     RunSettings,
 )
-from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES, score_of_runs
+from adp_path_follower.study.sweeps.request.objectives import score_of_runs
 from adp_path_follower.study.sweeps.workers.runs import MEASURES, TrackingMeter, simulate_runs
 from folders import CONFIG
 from sim_unicycle.fault_script import FaultScript
@@ -132,7 +132,7 @@ def test_what_leaves_the_path_is_not_stable():
     found = runs_of(misprinted, duration=15.0)
     assert not found["stable"].any()
     assert score_of_runs(found).unstable == 3
-    assert OBJECTIVES["cost"].of(found) > 50.0
+    assert score_of_runs(found).objectives["cost"] > 50.0
     assert {*MEASURES, "optimal_cost", "settling_time"} <= set(found)
 
 
