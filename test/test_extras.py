@@ -17,7 +17,6 @@ WITHOUT_ROS = ["cli", "analysis", "study", "drawing", "bags", "messages"]
 REQUIRED_BEFORE = (
     "analysis/bag_page",
     "drawing/page_figures",
-    "drawing/runs_page",
     "study/sweeps/",
 )
 

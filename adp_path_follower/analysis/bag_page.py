@@ -15,7 +15,7 @@ from adp_path_follower.criteria import OFF_PATH, SETTLED
 from adp_path_follower.drawing.charts import Charts, ShownRun
 from adp_path_follower.drawing.figure_style import color
 from adp_path_follower.drawing.page import write_page
-from adp_path_follower.drawing.page_figures import distance_scales, motions, page_figures
+from adp_path_follower.drawing.page_figures import page_data
 
 CAPTIONS = {
     "track": (
@@ -94,11 +94,11 @@ def write_report(
 ) -> None:
     """Write the page about one or several bags."""
     runs = [ShownRun(item.name, item.charts, item.events) for item in analyses]
-    figures = page_figures(runs)
+    data = page_data(runs)
     write_page(
         file,
         "report",
-        {"figures": figures, "motions": motions(runs), "scales": distance_scales()},
+        data,
         title=", ".join(analysis.name for analysis in analyses),
         analyses=analyses,
         headlines=[_headline(analysis) for analysis in analyses],
@@ -111,7 +111,7 @@ def write_report(
             for requirement in requirements
             for analysis in analyses
         ],
-        captions=_captions(analyses, figures),
+        captions=_captions(analyses, data["figures"]),
         number=number,
         nan=math.nan,
     )

@@ -1,5 +1,6 @@
 """J of a recorded run, of any controller, and the optimum J* from the same start."""
 
+import json
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -9,17 +10,23 @@ from scipy.integrate import cumulative_trapezoid
 
 from adp_path_follower.analysis.recorded_run import Drive
 from adp_path_follower.core.control.cost import MotionCost
-from adp_path_follower.core.control.error_dynamics import target_speed
+from adp_path_follower.core.control.error_dynamics import feedforward, target_speed
+from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame
 from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.path.progress import new_start
 from adp_path_follower.core.path.route import route_of
-from adp_path_follower.core.path.speed_profile import speed_from_rest
+from adp_path_follower.core.path.speed_profile import SpeedProfile, speed_from_rest
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.study.optimum.reference import COST_HORIZON, is_paper_problem, paper_optimum
+from adp_path_follower.core.settings.schema import build
+from adp_path_follower.drawing.charts import ReferenceMotion
+from adp_path_follower.resources import FORTY_STARTS
+from adp_path_follower.study.simulation.simulate import PAPER_START
 
+COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
 _NOISES = 3.0  # times the cost of the noise from which on J* is none
 _LEAST_OPTIMUM = 1e-4  # J* of a start half a centimetre beside the path
 _LEAST_RATIO = 0.9  # J / J*: less is no matter of rounding
@@ -126,8 +133,8 @@ def _optimum(
     settings: Settings, path: Path, arc_length: float, error: FloatArray
 ) -> tuple[float, FloatArray | None, tuple[str, ...]]:
     """Return J* from a start and the motion it is of, or NaN and why it is not known."""
-    if is_paper_problem(settings, path, arc_length, error):
-        found = paper_optimum()
+    found = known_optimum(settings, path, arc_length, error)
+    if found is not None:
         time, errors = found.time, found.error
         speed = target_speed(errors, settings.target, settings.target.desired_speed)
         places = arc_length + cumulative_trapezoid(speed, time, initial=0.0)
@@ -145,3 +152,28 @@ def _optimum(
 def _poses(path: Path, time: FloatArray, errors: FloatArray, places: FloatArray) -> FloatArray:
     """Return time and pose of a motion with errors (T, 3) to the target at arc lengths (T,)."""
     return np.column_stack([time, pose_in_frame(errors, path.frame(places).pose)])
+
+
+def known_optimum(
+    settings: Settings, path: Path, arc_length: float, first_error: FloatArray
+) -> ReferenceMotion | None:
+    """Return the packaged optimum, of the paper's problem, if it is that from an error (3,) here.
+
+    The error [s, y, theta] is that to the virtual target at `arc_length` [m].
+    """
+    file = FORTY_STARTS.with_name("paper_optimum.json")
+    content = json.loads(file.read_text(encoding="utf-8"))
+    time, error, wanted = (np.array(content[name]) for name in ("t", "e", "u"))
+    standard = build(Settings, {})
+    same = settings.target == standard.target and settings.cost == standard.cost
+    same &= not (settings.motion.limited or SpeedProfile(path, settings).varies)
+    # Whether limits would not have changed it on a straight path.
+    ahead = feedforward(np.zeros(len(time)), settings.target.desired_speed)
+    place = np.array([arc_length, path.length])
+    same = (
+        same
+        and np.allclose(saturate(wanted, ahead, settings.limits), wanted)
+        and np.allclose(place, [0.0, lissajous().length], atol=1e-3)
+        and np.allclose(first_error, PAPER_START, atol=1e-6)
+    )
+    return ReferenceMotion(float(content["cost"]), time, error, wanted) if same else None

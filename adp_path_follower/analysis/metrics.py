@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from adp_path_follower import criteria
+from adp_path_follower.analysis.costs import COST_HORIZON
 from adp_path_follower.analysis.recorded_run import Drive, finite, period_of
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.supervisor import State
-from adp_path_follower.study.optimum.reference import COST_HORIZON
 
 _NOISES = 3.0  # times its size from which on something is not noise
 _STEADY = (

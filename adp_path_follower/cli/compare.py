@@ -224,7 +224,7 @@ def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> N
 
 def _write_race(found: Comparison, file: FilePath) -> None:
     """Write the page on which all controllers start together."""
-    from adp_path_follower.drawing.runs_page import Table, write_runs_page
+    from adp_path_follower.drawing.page import Table, write_runs_page
 
     ranked = sorted(found.outcomes, key=_rank)
     rows = []

@@ -140,9 +140,9 @@ def _report(
 ) -> FilePath | None:
     """Analyse the bag as `adp analyze` does, print the numbers, and return the page if written."""
     from adp_path_follower.analysis.bag_analysis import metrics_table
+    from adp_path_follower.analysis.costs import known_optimum
     from adp_path_follower.bags.reader import read_run
     from adp_path_follower.drawing.run_figures import draw_figures
-    from adp_path_follower.study.optimum.reference import is_paper_problem, paper_optimum
     from adp_path_follower.study.replay.replay import replay, view_of_replay
 
     click.echo("analysing the bag and repeating the run")
@@ -153,11 +153,11 @@ def _report(
         run = read_run(bag)
         replayed = replay(run)
         first, follower = replayed.outputs[0], replayed.follower
-        known = is_paper_problem(
+        optimum = known_optimum(
             follower.settings, follower.path, float(first.arc_length), first.error
         )
         view = view_of_replay(run, replayed)
-        draw_figures(view, directory / "figures", paper_optimum() if known else None)
+        draw_figures(view, directory / "figures", optimum)
         analysis = analysing.result()
     commands, identical = len(replayed.outputs), int(replayed.identical.sum())
     control_rate = (commands - 1) / float(view.time[-1]) if view.time[-1] > 0.0 else math.nan

@@ -145,7 +145,7 @@ def _write_page(
     result: SimulationResult, path: Path, settings: Settings, path_name: str, file: FilePath
 ) -> None:
     """Write the page of the first runs, and say where it is."""
-    from adp_path_follower.drawing.runs_page import Table, write_runs_page
+    from adp_path_follower.drawing.page import Table, write_runs_page
     from adp_path_follower.study.simulation.shown import shown_run
 
     count, trajectories = min(len(result.starts), _RUNS_DRAWN), result.trajectories

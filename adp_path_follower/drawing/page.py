@@ -5,13 +5,24 @@ import datetime
 import functools
 import gzip
 import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
 from adp_path_follower import __version__
 from adp_path_follower.core.files import write_output
-from adp_path_follower.drawing.figure_style import ON_DARK
+from adp_path_follower.drawing.charts import ShownRun
+from adp_path_follower.drawing.figure_style import ON_DARK, color
 from adp_path_follower.extras import require
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that the reader can sort."""
+
+    columns: tuple[str, ...]  # the first names a run
+    rows: tuple[tuple[tuple[str, float], ...], ...]  # text and number of each cell but the first
 
 
 def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) -> None:
@@ -49,6 +60,37 @@ def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) 
         data=coded,
     )
     write_output(file, page)
+
+
+def write_runs_page(
+    file: FilePath, title: str, about: str, maker: str, runs: Sequence[ShownRun], table: Table
+) -> None:
+    """Write the page of runs that start together; raise AdpError if it cannot be written."""
+    require("the page", "report")
+    from adp_path_follower.drawing.page_figures import page_data
+
+    several = len(runs) > 1
+    arrows = "Every arrow is a robot" if several else "The arrow is the robot"
+    captions = (
+        (
+            *("track", "The race" if several else "The drive"),
+            f"{arrows} at the time of the slider below.",
+        ),
+        ("distance", "Distance from the path", "Positive to the left of the path."),
+        ("cost", "Cost so far", "∫ eᵀQe + uᵀRu from the start: the lowest curve is the best."),
+        ("commands", "Commands", "Each holds until the next; dashed lines are limits."),
+    )
+    write_page(
+        file,
+        "runs",
+        page_data(runs),
+        title=title,
+        about=about,
+        maker=maker,
+        names=[(run.name, color(index)) for index, run in enumerate(runs)],
+        captions=captions,
+        table=table,
+    )
 
 
 @functools.cache

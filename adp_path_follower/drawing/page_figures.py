@@ -35,6 +35,15 @@ _HALTS = {"fault": "rgba(213,94,0,0.18)"}  # the colour behind a state; grey for
 _SYMBOLS = dict(zip(KINDS, ("circle", "x", "triangle-up", "diamond", "square"), strict=True))
 
 
+def page_data(runs: Sequence[ShownRun]) -> dict[str, Any]:
+    """Return what the page's script shows of runs: figures, motions, and colours of distances."""
+    scales = {  # by theme, as Plotly has them: place from 0 to 1, colour
+        theme: list(zip(np.linspace(0.0, 1.0, len(colors)).tolist(), colors, strict=True))
+        for theme, colors in DISTANCE_SCALES.items()
+    }
+    return {"figures": page_figures(runs), "motions": _motions(runs), "scales": scales}
+
+
 def page_figures(runs: Sequence[ShownRun]) -> dict[str, Any]:
     """Return key -> figure (data and layout) of all that the runs can show."""
     figures = {"track": _track(runs)}
@@ -56,7 +65,7 @@ def page_figures(runs: Sequence[ShownRun]) -> dict[str, Any]:
     }
 
 
-def motions(runs: Sequence[ShownRun]) -> list[dict[str, Any]]:
+def _motions(runs: Sequence[ShownRun]) -> list[dict[str, Any]]:
     """Return where each robot and its virtual target were, and the optimum beside a single one."""
     found = []
     for index, run in enumerate(runs):
@@ -82,14 +91,6 @@ def _motion(
         "theta": _small(np.unwrap(poses[:, 2])),
         "target_x": _small(target[:, 0]),
         "target_y": _small(target[:, 1]),
-    }
-
-
-def distance_scales() -> dict[str, list[tuple[float, str]]]:
-    """Return the colours of distances by theme, as Plotly has them: place from 0 to 1, colour."""
-    return {
-        theme: list(zip(np.linspace(0.0, 1.0, len(colors)).tolist(), colors, strict=True))
-        for theme, colors in DISTANCE_SCALES.items()
     }
 
 

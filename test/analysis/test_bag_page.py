@@ -25,7 +25,7 @@ from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.drawing.charts import KINDS
-from adp_path_follower.drawing.runs_page import Table, write_runs_page
+from adp_path_follower.drawing.page import Table, write_runs_page
 from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import simulate
 
