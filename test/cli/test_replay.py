@@ -124,7 +124,7 @@ def test_in_a_closed_loop_the_same_parameters_give_the_same_run(bag):
     # The same but for the heading, which odometry carries as a quaternion.
     _, first = np.unique(run.series["odom"].stamp, return_index=True)
     odometry = run.series["odom"].values[first]
-    np.testing.assert_allclose(found.pose, odometry[:, :3], atol=1e-9)
+    np.testing.assert_allclose(found.steps.pose, odometry[:, :3], atol=1e-9)
     np.testing.assert_allclose(velocity, odometry[:, 3:], atol=1e-9)
 
 
@@ -192,9 +192,9 @@ def test_a_live_controller_answers_the_odometry_of_a_bag(bag, peer, start, domai
     # Odometry is taken as it comes, and a busy machine loses some: where the target is then depends
     # on what was lost, but the steps that there were went by the poses of the bag.
     stamps, first = np.unique(old.series["odom"].stamp, return_index=True)
-    _, mine, theirs = np.intersect1d(stamps, new.stamp, return_indices=True)
-    assert len(mine) == len(new.stamp) > 50
-    assert np.array_equal(new.pose[theirs], old.series["odom"].values[first[mine], :3])
+    _, mine, theirs = np.intersect1d(stamps, new.steps.stamp, return_indices=True)
+    assert len(mine) == len(new.steps.stamp) > 50
+    assert np.array_equal(new.steps.pose[theirs], old.series["odom"].values[first[mine], :3])
     assert new.replayed.any(axis=1).all()
 
 

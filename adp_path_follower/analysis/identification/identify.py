@@ -57,11 +57,6 @@ class Identification:
     courses: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
     notes: tuple[str, ...]  # sentences about data, and about how far to trust this
 
-    @property
-    def missing(self) -> tuple[Parameter, ...]:
-        """Return the parameters that the drive did not tell."""
-        return tuple(item for item in self.parameters if item.drive)
-
     def value(self, name: str) -> float:
         """Return a parameter, NaN where it was not measured."""
         found = (item.value for item in self.parameters if item.name == name and not item.drive)

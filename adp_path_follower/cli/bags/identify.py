@@ -59,7 +59,7 @@ def identify(
     click.echo(_table(found))
     for note in found.notes:
         click.echo(f"adp: {note}", err=True)
-    if found.missing:
+    if any(item.drive for item in found.parameters):
         click.echo("adp: --path identify is a short slalom that tells all of them", err=True)
     click.echo(f"\nIn {directory}: robot.yaml, robot.png")
     if json_file is not None:

@@ -221,7 +221,9 @@ def _report(run: Run, found: Replay, weights: ComparedWeights | None) -> str:
     """Return how recorded and replayed commands compare, and weights where they should agree."""
     same = found.identical[found.answered]
     if not len(same):
-        lines = [f"{len(found.stamp)} steps replayed; the bag has no commands to compare with"]
+        lines = [
+            f"{len(found.steps.stamp)} steps replayed; the bag has no commands to compare with"
+        ]
     else:
         lines = [f"{int(same.sum())} of {len(same)} commands are identical to the last bit"]
     if not same.all():

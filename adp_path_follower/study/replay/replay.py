@@ -57,19 +57,9 @@ class Replay:
         return cls(driver.follower, driver.settings, steps, recorded, driver.outputs, cost, said)
 
     @property
-    def stamp(self) -> np.ndarray:
-        """Return the time of each step [ns], shape (N,)."""
-        return self.steps.stamp
-
-    @property
     def time(self) -> FloatArray:
         """Return the time of each step since the first [s], shape (N,)."""
-        return np.asarray((self.stamp - self.stamp[0]) * 1e-9)
-
-    @property
-    def pose(self) -> FloatArray:
-        """Return the pose that each step went by, shape (N, 3)."""
-        return self.steps.pose
+        return np.asarray((self.steps.stamp - self.steps.stamp[0]) * 1e-9)
 
     @property
     def answered(self) -> np.ndarray:
@@ -213,7 +203,7 @@ def rerun(
 
 def view_of_replay(run: Run, replay: Replay) -> RunView:
     """Return the view of a recorded run: its weights as recorded, the rest as replayed."""
-    start, time = replay.stamp[0], replay.time
+    start, time = replay.steps.stamp[0], replay.time
     nothing = Series(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
     critic = run.series.get("critic_weights", nothing)
     actor = run.series.get("actor_weights", nothing)
@@ -224,7 +214,7 @@ def view_of_replay(run: Run, replay: Replay) -> RunView:
     return RunView(
         time=time,
         path=replay.follower.path.points(0.05)[:, :2],
-        track=replay.pose,
+        track=replay.steps.pose,
         target=np.array([output.target_pose[:2] for output in replay.outputs]),
         error=np.array([output.error for output in replay.outputs]),
         modified_input=np.array([output.modified_input for output in replay.outputs]),

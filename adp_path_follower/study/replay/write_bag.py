@@ -87,7 +87,7 @@ def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
     label = ", ".join(found.settings.learning.value_basis.labels)
     for step, output in enumerate(found.outputs):
         arrival = max(arrival, int(found.steps.arrival[step]))
-        stamp, pose = int(found.stamp[step]), found.pose[step]
+        stamp, pose = int(found.steps.stamp[step]), found.steps.pose[step]
         if step in said:
             yield arrival, "/path_follower/configuration", _bytes(store, "String", data=said[step])
         if velocity is not None:

@@ -44,7 +44,7 @@ def test_commands_without_stamps_are_those_that_arrived_about_then(bag):
     commands = run.series["cmd_vel"]
     plain = dataclasses.replace(commands, stamp=commands.arrival)
     found = replay(dataclasses.replace(run, series={**run.series, "cmd_vel": plain}))
-    assert len(found.stamp) == len(steps_of(run).stamp)
+    assert len(found.steps.stamp) == len(steps_of(run).stamp)
     assert found.identical.all()
 
 

@@ -158,11 +158,6 @@ class Conditions:
         """Return how many runs are made and stored together: few files, and whole groups."""
         return _MOST_AT_ONCE // self.runs_each * self.runs_each or _MOST_AT_ONCE
 
-    def path_and_robot(self, group: int) -> tuple[PathSource, Robot]:
-        """Return path and robot of a group of runs; robots change first."""
-        path, robot = divmod(group, len(self.robots))
-        return self.paths[path], self.robots[robot]
-
 
 def read_conditions(
     entries: Mapping[str, object], folder: FilePath, run: RunSettings

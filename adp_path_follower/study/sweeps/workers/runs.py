@@ -151,7 +151,8 @@ def simulate_runs(conditions: Conditions, settings: Settings, runs: np.ndarray) 
     ends = np.flatnonzero((np.diff(robot_seed) != 1) | (np.diff(group) != 0)) + 1
     pieces = []
     for some in np.split(np.arange(len(runs)), ends):
-        source, robot = conditions.path_and_robot(int(group[some[0]]))
+        path, number = divmod(int(group[some[0]]), len(conditions.robots))
+        source, robot = conditions.paths[path], conditions.robots[number]
         starts, seeds = conditions.starts[start[some]], robot_seed[some]
         known = {
             **_constant(len(some), {"path": source.name, "robot": robot.name}),
