@@ -99,14 +99,13 @@ def _run(
     """Run the nodes with a progress bar and return the bag."""
     from adp_path_follower.study.demo.closed_loop import Progress, run_closed_loop
 
-    text = {"": "starting the nodes"}
     shown = 0.0
     bar: Any
     with click.progressbar(
         length=1000,
         label="driving",
         bar_template="%(label)s  [%(bar)s]  %(info)s",
-        item_show_func=lambda _: text[""],
+        item_show_func=lambda text: text or "starting the nodes",
         width=30,
         show_eta=False,
     ) as bar:
@@ -122,11 +121,11 @@ def _run(
                 return
             lap = float(best_place(path, progress.target_pose)[0]) / path.length
             distance = np.linalg.norm(progress.error[:2])
-            text[""] = (
+            text = (
                 f"{progress.time:5.1f} s of {duration:g} s, {100.0 * lap:3.0f} % of the "
                 f"{'lap' if path.closed else 'path'}, error {1000.0 * distance:7.1f} mm"
             )
-            bar.update(int(1000.0 * min(1.0, progress.time / duration)) - bar.pos, None)
+            bar.update(int(1000.0 * min(1.0, progress.time / duration)) - bar.pos, text)
 
         bag = run_closed_loop(
             settings, path, path_name, np.array(PAPER_START), duration, directory, report, simulator

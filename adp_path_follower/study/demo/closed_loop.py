@@ -159,9 +159,9 @@ def run_closed_loop(
             # path itself and the configuration after it may be recorded at the very end.
             _wait(nodes, recorder, ("/odom", "/cmd_vel"), lambda: report(None))
             launch("path_publisher", {"path": path_name})
-            _Monitor(domain, duration).watch(robot, controller, nodes, report)
-            rest = ("/path", "/path_follower/configuration", "/path_follower/tracking_error")
             others = [node for node in nodes if node is not robot]
+            _watch(domain, duration, robot, controller, others, report)
+            rest = ("/path", "/path_follower/configuration", "/path_follower/tracking_error")
             _wait(others, recorder, rest, lambda: None)
         finally:
             # The recorder last, for it must get the last messages of the others.
@@ -198,9 +198,7 @@ def _wait(
     """Wait until the recorder has got something on every topic; AdpError if a node ends before."""
     deadline = time.monotonic() + _READY_TIMEOUT
     while not all(f"recording {topic}\n" in recorder.output() for topic in topics):
-        for node in nodes:
-            if node.process.poll() is not None:
-                raise AdpError(f"{node.name} ended early: {node.last_line()}")
+        _check_running(nodes)
         if time.monotonic() > deadline:
             raise AdpError(
                 f"the nodes did not find each other in {_READY_TIMEOUT:g} s; their logs are in "
@@ -210,73 +208,67 @@ def _wait(
         time.sleep(0.05)
 
 
-class _Monitor:
-    """Listen to a run until its simulator ends."""
+def _check_running(nodes: list[NodeProcess]) -> None:
+    for node in nodes:
+        if node.process.poll() is not None:
+            raise AdpError(f"{node.name} ended early: {node.last_line()}")
 
-    def __init__(self, domain: int, duration: float) -> None:
-        self._duration = duration
-        # rclpy reads both when it is initialised.
-        os.environ["ROS_DOMAIN_ID"] = str(domain)
-        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-        self._target = np.zeros(3)
-        self._start: int | None = None
-        self._progress: Progress | None = None
 
-    def watch(
-        self,
-        simulator: NodeProcess,
-        controller: NodeProcess,
-        nodes: list[NodeProcess],
-        report: Callable[[Progress | None], None],
-    ) -> None:
-        """Report until the simulator ends or the robot is at the goal.
+def _watch(
+    domain: int,
+    duration: float,
+    simulator: NodeProcess,
+    controller: NodeProcess,
+    others: list[NodeProcess],
+    report: Callable[[Progress | None], None],
+) -> None:
+    """Report until the simulator ends, the robot is at the goal, or a time [s] is over.
 
-        Raises AdpError if another node ends, or if nothing happens any more.
-        """
-        import rclpy  # here, so that `adp` works without ROS
-        from geometry_msgs.msg import PoseStamped, Vector3Stamped
-        from rclpy.qos import qos_profile_sensor_data as newest
-        from rclpy.signals import SignalHandlerOptions
+    Raises AdpError if one of the others ends, or if nothing happens any more.
+    """
+    import rclpy  # here, so that `adp` works without ROS
+    from geometry_msgs.msg import PoseStamped, Vector3Stamped
+    from rclpy.qos import qos_profile_sensor_data as newest
+    from rclpy.signals import SignalHandlerOptions
 
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node("monitor")
-        node.create_subscription(
-            Vector3Stamped, "path_follower/tracking_error", self._receive_error, newest
-        )
-        node.create_subscription(PoseStamped, "path_follower/target", self._receive_target, newest)
-        seen, seen_at = None, time.monotonic()
-        try:
-            while simulator.process.poll() is None:
-                rclpy.spin_once(node, timeout_sec=0.05)
-                if self._progress is not seen:
-                    seen, seen_at = self._progress, time.monotonic()
-                report(self._progress)
-                if self._progress is not None and self._progress.time > self._duration:
-                    simulator.stop()
-                for other in nodes:
-                    if other is not simulator and other.process.poll() is not None:
-                        raise AdpError(f"{other.name} ended early: {other.last_line()}")
-                quiet = time.monotonic() - seen_at
-                if quiet > _GOAL_TIMEOUT and "goal reached" in controller.output():
-                    simulator.stop()  # lock-step would wait for commands that never come
-                if quiet > _STALL_TIMEOUT:
-                    raise AdpError(
-                        f"the run stands still; the nodes' logs are in {simulator.log.parent}"
-                    )
-        finally:
-            node.destroy_node()
-            rclpy.try_shutdown()
-        if simulator.process.returncode != 0:
-            raise AdpError(f"the simulator failed: {simulator.last_line()}")
+    target, seen_at = np.zeros(3), time.monotonic()
+    start: int | None = None
+    progress: Progress | None = None
 
-    def _receive_target(self, message: Any) -> None:
+    def take_target(message: Any) -> None:
+        nonlocal target
         p, q = message.pose.position, message.pose.orientation
-        self._target = np.array([p.x, p.y, yaw_of_quaternion(q.x, q.y, q.z, q.w)])
+        target = np.array([p.x, p.y, yaw_of_quaternion(q.x, q.y, q.z, q.w)])
 
-    def _receive_error(self, message: Any) -> None:
+    def take_error(message: Any) -> None:
+        nonlocal start, progress, seen_at
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        if self._start is None:
-            self._start = stamp
-        vector = message.vector
-        error = np.array([vector.x, vector.y, vector.z])
-        self._progress = Progress((stamp - self._start) * 1e-9, error, self._target)
+        start = stamp if start is None else start
+        error = np.array([message.vector.x, message.vector.y, message.vector.z])
+        progress, seen_at = Progress((stamp - start) * 1e-9, error, target), time.monotonic()
+
+    # rclpy reads both when it is initialised.
+    os.environ |= {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("monitor")
+    node.create_subscription(Vector3Stamped, "path_follower/tracking_error", take_error, newest)
+    node.create_subscription(PoseStamped, "path_follower/target", take_target, newest)
+    try:
+        while simulator.process.poll() is None:
+            rclpy.spin_once(node, timeout_sec=0.05)
+            report(progress)
+            quiet = time.monotonic() - seen_at
+            # At the goal, lock-step would wait for commands that never come.
+            arrived = quiet > _GOAL_TIMEOUT and "goal reached" in controller.output()
+            if arrived or (progress is not None and progress.time > duration):
+                simulator.stop()
+            _check_running(others)
+            if quiet > _STALL_TIMEOUT:
+                raise AdpError(
+                    f"the run stands still; the nodes' logs are in {simulator.log.parent}"
+                )
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    if simulator.process.returncode != 0:
+        raise AdpError(f"the simulator failed: {simulator.last_line()}")

@@ -200,7 +200,14 @@ class RecordedDriver(Driver):
         if self.route is None:
             raise FileError("the bag has control steps from before the controller had a path")
         if changed:
-            self.configurations.append((len(self.outputs), self._text()))
+            said = configuration_text(
+                self.settings,
+                self.route,
+                after_step=self._last,
+                counts=self.counts,
+                saved_weights=self._saved_weights,
+            )
+            self.configurations.append((len(self.outputs), said))
         try:
             with np.errstate(all="ignore"):  # a damaged pose raises below, once
                 known = motion if motion is not None and np.isfinite(motion).all() else None
@@ -225,16 +232,6 @@ class RecordedDriver(Driver):
         if change is None or change.after_step != time:
             return False
         return change.counts.learning_resets != resets
-
-    def _text(self) -> str:
-        """Return what a controller says that drives like this."""
-        return configuration_text(
-            self.settings,
-            self.route,
-            after_step=self._last,
-            counts=self.counts,
-            saved_weights=self._saved_weights,
-        )
 
     def _change(self, change: Configuration) -> None:
         """Take over a path, settings or a reset of learning, as the node did."""
