@@ -9,9 +9,9 @@ import io
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
@@ -124,31 +124,26 @@ class Record(NamedTuple):
     body: bytes  # the body; empty where nobody needs it, and cut off at the end of a torn file
 
 
-class Judge(Protocol):
-    """Questions of the walk about the recording."""
-
-    def knows_channel(self, channel: int) -> bool:
-        """Return whether the channel has been defined."""
-
-    def is_whole(self, message: bytes) -> bool:
-        """Return whether the body of a message record can be decoded to its last byte."""
-
-
 class RecordScanner:
     """The records of one file or chunk."""
 
     def __init__(
-        self, stream: BinaryIO, size: int, judge: Judge, leave: Callable[[int, int], None]
+        self,
+        stream: BinaryIO,
+        size: int,
+        channels: Container[int],
+        is_whole: Callable[[bytes], bool],
     ) -> None:
         """Prepare a walk over the first `size` bytes of a stream, which must be seekable.
 
-        `judge` knows the channels and their types; `leave` gets offset and length of each stretch
-        that cannot be read.
+        `channels` are those that have been defined; `is_whole` says whether the body of a message
+        record can be decoded to its last byte.
         """
+        self.left = 0  # bytes that cannot be read, as far as the walk has come
         self._stream = stream
         self._size = size
-        self._judge = judge
-        self._leave = leave
+        self._channels = channels
+        self._is_whole = is_whole
 
     def records(self) -> Iterator[Record]:
         """Yield what can be trusted, in the order of the file.
@@ -177,7 +172,7 @@ class RecordScanner:
                 offset = min(frame[1], self._size)
             else:
                 resumed = self._resume(offset + 1)
-                self._leave(offset, resumed - offset)
+                self.left += resumed - offset
                 offset = resumed
 
     def _at(self, offset: int, length: int) -> bytes:
@@ -218,7 +213,7 @@ class RecordScanner:
         if record.opcode != Opcode.MESSAGE:
             return False
         zeros_follow = not any(self._at(end, len(MAGIC)))
-        return self._judge.is_whole(record.body) and not (zeros_follow and record.body[-1] == 0)
+        return self._is_whole(record.body) and not (zeros_follow and record.body[-1] == 0)
 
     def _is_followed(self, offset: int) -> bool:
         """Return whether a frame, the magic or the end is here, or the beginning of one of them."""
@@ -265,7 +260,7 @@ class RecordScanner:
         """Return whether the body of a record that matters says what it should."""
         if opcode == Opcode.MESSAGE:
             channel, _, time, _ = MESSAGE_HEAD.unpack(self._at(start, MESSAGE_HEAD.size))
-            return time <= LATEST_TIME and self._judge.knows_channel(channel)
+            return time <= LATEST_TIME and channel in self._channels
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             short = end - start <= _BLOCK
             return short and read_definition(opcode, self._at(start, end - start)) is not None
@@ -276,6 +271,8 @@ class RecordScanner:
 
 def read_definition(opcode: int, body: bytes) -> Schema | Channel | None:
     """Return a schema or channel, or None if the record does not hold exactly one."""
+    if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+        return None
     kind = Schema if opcode == Opcode.SCHEMA else Channel
     try:
         found = kind.read(ReadDataStream(io.BytesIO(body)))

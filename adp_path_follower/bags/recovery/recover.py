@@ -137,7 +137,7 @@ def _has_magic(file: FilePath) -> bool:
 
 
 class _Copy:
-    """The way of a torn bag's files into a new bag; judges messages for the scanner."""
+    """The way of a torn bag's files into a new bag."""
 
     def __init__(self, writer: BagWriter, metadata: TornMetadata) -> None:
         self.message_counts: Counter[str] = Counter()  # of each topic, also of empty ones
@@ -155,10 +155,10 @@ class _Copy:
         self._defined: set[int] = set()  # channels that the file has defined on the way
         self._has_chunks = False
 
-    def knows_channel(self, channel: int) -> bool:
-        return channel in self._channels
+    def _scanner(self, stream: BinaryIO, size: int) -> mcap_scan.RecordScanner:
+        return mcap_scan.RecordScanner(stream, size, self._channels, self._is_whole)
 
-    def is_whole(self, message: bytes) -> bool:
+    def _is_whole(self, message: bytes) -> bool:
         """Return whether the body of a message record can be decoded to its last byte."""
         channel, _, _, _ = mcap_scan.MESSAGE_HEAD.unpack_from(message)
         if channel not in self._channels:
@@ -169,20 +169,24 @@ class _Copy:
         """Copy a file; yield how far it is, from time to time."""
         self._start_file()
         with file.open("rb") as stream:
-            for definition in _summary_definitions(stream, size, self):
-                self._define(definition)
-                self._certain.add((type(definition), definition.id))
-            shown = 0
-            for record in mcap_scan.RecordScanner(stream, size, self, self._leave).records():
+            # The definitions at its end, in case the first ones are damaged.
+            for record in self._scanner(*_summary(stream, size)).records():
+                definition = mcap_scan.read_definition(record.opcode, record.body)
+                if definition is not None:
+                    self._define(definition)
+                    self._certain.add((type(definition), definition.id))
+            shown, scanner = 0, self._scanner(stream, size)
+            for record in scanner.records():
                 if record.opcode == Opcode.CHUNK:
                     self._add_chunk(record)
                 elif record.opcode == Opcode.MESSAGE and not self._belongs(record.body):
-                    self._leave(record.offset, len(record.body))
+                    self.bytes_left += len(record.body)
                 else:
                     self._add(record)
                 if record.offset >= shown:
                     yield record.offset
                     shown = record.offset + _PROGRESS_STEP
+            self.bytes_left += scanner.left
 
     def _belongs(self, message: bytes) -> bool:
         """Return whether the body of a message record outside chunks is a message.
@@ -192,39 +196,37 @@ class _Copy:
         """
         (channel,) = struct.unpack_from("<H", message)
         expected = channel in self._defined and not self._has_chunks
-        return expected or self.is_whole(message)
-
-    def _leave(self, _: int, length: int) -> None:
-        self.bytes_left += length
+        return expected or self._is_whole(message)
 
     def _add_chunk(self, record: mcap_scan.Record) -> None:
         self._has_chunks = True
         chunk = mcap_scan.read_chunk(record.body, record.length)
         content = mcap_scan.unpack_chunk(chunk) if chunk is not None else None
         if content is None:
-            self._leave(record.offset, len(record.body))
+            self.bytes_left += len(record.body)
             return
-        scanner = mcap_scan.RecordScanner(io.BytesIO(content), len(content), self, self._leave)
+        scanner = self._scanner(io.BytesIO(content), len(content))
         for inner in scanner.records():
             if inner.opcode == Opcode.CHUNK:
-                self._leave(inner.offset, len(inner.body))  # chunks hold no chunks
+                self.bytes_left += len(inner.body)  # chunks hold no chunks
             else:
                 self._add(inner)
+        self.bytes_left += scanner.left
 
     def _add(self, record: mcap_scan.Record) -> None:
         if record.opcode == Opcode.MESSAGE:
             self._add_message(record)
-        elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            definition = mcap_scan.read_definition(record.opcode, record.body)
-            if isinstance(definition, Channel):
-                self._defined.add(definition.id)
-            if definition is not None and (type(definition), definition.id) not in self._certain:
-                self._define(definition)
+            return
+        definition = mcap_scan.read_definition(record.opcode, record.body)
+        if isinstance(definition, Channel):
+            self._defined.add(definition.id)
+        if definition is not None and (type(definition), definition.id) not in self._certain:
+            self._define(definition)
 
     def _add_message(self, record: mcap_scan.Record) -> None:
         channel, sequence, log_time, publish_time = mcap_scan.MESSAGE_HEAD.unpack_from(record.body)
         if channel not in self._channels or log_time > mcap_scan.LATEST_TIME:
-            self._leave(record.offset, len(record.body))
+            self.bytes_left += len(record.body)
             return
         number, topic, _ = self._channels[channel]
         message = record.body[mcap_scan.MESSAGE_HEAD.size :]
@@ -279,27 +281,20 @@ def _meaning(schema: Schema) -> MessageDefinition:
     return message_definition(schema.name, schema.encoding, schema.data)
 
 
-def _summary_definitions(
-    stream: BinaryIO, size: int, judge: mcap_scan.Judge
-) -> Iterator[Schema | Channel]:
-    """Yield schemas and channels at the end of a file, in case the first ones are damaged."""
+def _summary(stream: BinaryIO, size: int) -> tuple[BinaryIO, int]:
+    """Return the summary at the end of a file, and its length; empty if it is not sound."""
     start = max(0, size - _MOST_TAIL)
     stream.seek(start)
     tail = stream.read(size - start)
     footer = tail.rfind(_FOOTER)
     if footer < 0 or not tail.startswith(mcap_scan.MAGIC, footer + _FOOTER_SIZE):
-        return
+        return io.BytesIO(), 0
     begin, _, checksum = struct.unpack_from("<QQI", tail, footer + len(_FOOTER))
     length = start + footer - begin
     if not begin or not 0 < length <= _MOST_SUMMARY:
-        return
+        return io.BytesIO(), 0
     stream.seek(begin)
     summary = stream.read(length)
     if checksum and zlib.crc32(tail[footer : footer + 25], zlib.crc32(summary)) != checksum:
-        return
-    scanner = mcap_scan.RecordScanner(io.BytesIO(summary), length, judge, lambda *_: None)
-    for record in scanner.records():
-        if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            definition = mcap_scan.read_definition(record.opcode, record.body)
-            if definition is not None:
-                yield definition
+        return io.BytesIO(), 0
+    return io.BytesIO(summary), length
