@@ -112,18 +112,16 @@ def _halts(drive: Drive) -> dict[str, FloatArray]:
 def _error_panels(drive: Drive, buckets: int) -> tuple[Panel, ...]:
     """Return distance and angle to the path, and how far the robot is ahead of its target."""
     time, beside = drive.odometry.time, drive.projection
-    panels = [
-        Panel(
-            "cross-track [mm]", (line_of("cross-track", time, 1e3 * beside.cross_track, buckets),)
-        ),
-        Panel("heading [rad]", (line_of("heading", time, beside.heading, buckets),)),
+    curves = [
+        ("cross-track [mm]", "cross-track", time, 1e3 * beside.cross_track),
+        ("heading [rad]", "heading", time, beside.heading),
     ]
     if "tracking_error" in drive.learner:
         error = drive.learner["tracking_error"]
-        panels.append(
-            Panel("s to target [m]", (line_of("s", error.time, error.values[:, 0], buckets),))
-        )
-    return tuple(panels)
+        curves.append(("s to target [m]", "s", error.time, error.values[:, 0]))
+    return tuple(
+        Panel(label, (line_of(name, at, values, buckets),)) for label, name, at, values in curves
+    )
 
 
 def _weight_lines(weights: Timed, bags: int) -> tuple[Line, ...]:

@@ -15,7 +15,7 @@ from typing import Any
 import click
 import numpy as np
 
-from adp_path_follower.cli.options import Command
+from adp_path_follower.cli.options import FILE, Command
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import output_to, write_whole
 
@@ -71,14 +71,13 @@ def new_directory(directory: FilePath) -> FilePath:
     """Return an output directory, made if needed; FileError if it holds files or cannot be made."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        if any(directory.iterdir()):
-            raise FileError(f"output {directory} holds files already: give a new directory")
-    except FileError:
-        raise
+        is_used = any(directory.iterdir())
     except (FileExistsError, NotADirectoryError):
         raise FileError(f"output {directory} is a file: give a directory") from None
     except OSError as error:
         raise FileError(f"output {directory} cannot be made: {error.strerror}") from None
+    if is_used:
+        raise FileError(f"output {directory} holds files already: give a new directory")
     return directory
 
 
@@ -138,14 +137,8 @@ def json_option(meaning: str) -> Callable[[Command], Command]:
             ctx.with_resource(contextlib.redirect_stdout(sys.stderr))
         return file
 
-    return click.option(
-        "--json",
-        "json_file",
-        type=click.Path(path_type=FilePath),
-        metavar="FILE",
-        help=f"{meaning}; - for standard output, without anything else.",
-        callback=alone,
-    )
+    text = f"{meaning}; - for standard output, without anything else."
+    return click.option("--json", "json_file", type=FILE, metavar="FILE", help=text, callback=alone)
 
 
 def _finite(content: Any) -> Any:

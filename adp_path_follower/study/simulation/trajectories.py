@@ -36,7 +36,7 @@ class TrajectoryRecorder:
 
     def note(self, first_run: int, step: int, output: ControlOutput, pose: FloatArray) -> None:
         """Record a step of the n runs from a first one on, which are at true poses (n, 3)."""
-        weights = weights_of(output)
+        weights, unknown = weights_of(output), np.full(len(pose), math.nan)
         values = {
             "pose": pose,
             "error": output.error,
@@ -45,7 +45,7 @@ class TrajectoryRecorder:
             "modified_input": output.modified_input,
             "critic_weights": weights.critic,
             "actor_weights": weights.actor,
-            "bellman_error": _bellman_error(output),
+            "bellman_error": getattr(output, "bellman_error", unknown),
         }
         runs = slice(first_run, first_run + len(pose))
         for name, value in values.items():
@@ -69,9 +69,3 @@ def weights_of(output: ControlOutput) -> Weights:
         return np.broadcast_to(values, (len(output.error), values.shape[-1]))
 
     return Weights(repeated(output.weights.critic), repeated(output.weights.actor))
-
-
-def _bellman_error(output: ControlOutput) -> FloatArray:
-    if not isinstance(output, FollowerOutput):
-        return np.full(len(output.error), math.nan)
-    return output.bellman_error
