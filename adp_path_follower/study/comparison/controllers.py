@@ -24,19 +24,13 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.robot import ROBOT_MODELS
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields, update
 from adp_path_follower.resources import config_file
-from adp_path_follower.study.comparison.peers.lapierre_soetanto import (
-    LapierreSoetanto,
-    TunedLapierreSoetanto,
+from adp_path_follower.study.comparison.peers import (
+    lapierre_soetanto,
+    lqr,
+    nmpc,
+    pure_pursuit,
+    stanley,
 )
-from adp_path_follower.study.comparison.peers.lqr import Lqr
-from adp_path_follower.study.comparison.peers.nmpc import Nmpc
-from adp_path_follower.study.comparison.peers.pure_pursuit import (
-    PurePursuit,
-    RegulatedPurePursuit,
-    TunedPurePursuit,
-    TunedRegulatedPurePursuit,
-)
-from adp_path_follower.study.comparison.peers.stanley import Stanley, TunedStanley
 from adp_path_follower.study.simulation.simulate import ControllerFactory
 
 
@@ -50,38 +44,38 @@ class Peer:
 
 
 PEERS = {  # by their names in tables and on the command line
-    "pure_pursuit": Peer("Pure pursuit (Coulter 1992), look-ahead 1 m", PurePursuit),
+    "pure_pursuit": Peer("Pure pursuit (Coulter 1992), look-ahead 1 m", pure_pursuit.PurePursuit),
     "pure_pursuit_tuned": Peer(
-        "Pure pursuit (Coulter 1992), look-ahead tuned: 0.6 m", TunedPurePursuit
+        "Pure pursuit (Coulter 1992), look-ahead tuned: 0.6 m", pure_pursuit.TunedPurePursuit
     ),
     "regulated_pure_pursuit": Peer(
         "Regulated pure pursuit (Macenski et al. 2023) with Nav2's defaults, without a costmap",
-        RegulatedPurePursuit,
+        pure_pursuit.RegulatedPurePursuit,
     ),
     "regulated_pure_pursuit_tuned": Peer(
         "Regulated pure pursuit (Macenski et al. 2023), look-ahead by speed and slowing down tuned",
-        TunedRegulatedPurePursuit,
+        pure_pursuit.TunedRegulatedPurePursuit,
     ),
-    "stanley": Peer("Stanley's law (Hoffmann et al. 2007) on a virtual bicycle", Stanley),
+    "stanley": Peer("Stanley's law (Hoffmann et al. 2007) on a virtual bicycle", stanley.Stanley),
     "stanley_tuned": Peer(
         "Stanley's law (Hoffmann et al. 2007) at the robot, with curvature feed-forward, tuned",
-        TunedStanley,
+        stanley.TunedStanley,
     ),
     "lapierre_soetanto": Peer(
         "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at v = v_des",
-        LapierreSoetanto,
+        lapierre_soetanto.LapierreSoetanto,
     ),
     "lapierre_soetanto_tuned": Peer(
         "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at "
         "v = v_des - k s, tuned",
-        TunedLapierreSoetanto,
+        lapierre_soetanto.TunedLapierreSoetanto,
     ),
     "lqr": Peer(
-        "Linear-quadratic regulator scheduled by curvature, with the true input matrix", Lqr
+        "Linear-quadratic regulator scheduled by curvature, with the true input matrix", lqr.Lqr
     ),
     "nmpc": Peer(
         "Nonlinear model predictive control over 3 s (CasADi), with the curvature ahead",
-        Nmpc,  # the only one that needs CasADi
+        nmpc.Nmpc,  # the only one that needs CasADi
         control_rate=20.0,
     ),
 }
