@@ -27,9 +27,10 @@ from sim_unicycle.settings import SimulatorSettings
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
     from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
-# Column of the race's table -> its digits.
-_RACE = {"J/J*, median": 4, "95 %": 4, "max": 4, "failed": 0, "settled in [s]": 2, "effort": 3}
-_RACE |= {"cross-track RMS [mm]": 3, "max [mm]": 2, "per step [ms]": 3}
+# Column -> width and digits in the text, and digits in the race's table.
+_COLUMNS = {"J/J*, median": (9, 4, 4), "95 %": (9, 4, 4), "max": (9, 4, 4), "failed": (8, 0, 0)}
+_COLUMNS |= {"settled in [s]": (9, 2, 2), "effort": (8, 3, 3), "cross-track RMS [mm]": (10, 2, 3)}
+_COLUMNS |= {"max [mm]": (9, 2, 2), "per step [ms]": (11, 3, 3)}
 _UNLIMITED = ("min_linear_vel=-.inf", "max_linear_vel=.inf", "max_angular_vel=.inf")
 
 
@@ -160,15 +161,10 @@ def _table(found: Comparison) -> str:
 
 def _line(item: Outcome) -> str:
     """Return the table's line of one controller."""
-    *ratios, failed, settled, effort, distance, farthest, step = _columns(item)
-    return (
-        f"{item.name:37}{''.join(map(_ratio, ratios))}{failed:8.0f}"
-        + _number(settled, 9, 2)
-        + _number(effort, 8, 3)
-        + _number(distance, 10, 2)
-        + _number(farthest, 9, 2)
-        + f"{step:11.3f}"
-    )
+    values = _columns(item)
+    numbers = zip(values[3:], [*_COLUMNS.values()][3:], strict=True)
+    cells = [*map(_ratio, values[:3]), *(_number(value, *form[:2]) for value, form in numbers)]
+    return f"{item.name:37}{''.join(cells)}"
 
 
 def _columns(item: Outcome) -> tuple[float, ...]:
@@ -229,8 +225,8 @@ def _write_race(found: Comparison, file: FilePath) -> None:
     ranked = sorted(found.outcomes, key=_rank)
     rows = []
     for item in ranked:
-        numbers = zip(_columns(item), _RACE.values(), strict=True)
-        cells = ((_number(value, 0, digits), value) for value, digits in numbers)
+        numbers = zip(_columns(item), _COLUMNS.values(), strict=True)
+        cells = ((_number(value, 0, digits), value) for value, (*_, digits) in numbers)
         rows.append(((item.name, math.nan), *cells))
     about = (
         f"Every controller drives one lap of {found.path_name} from the paper's start, with the "
@@ -241,7 +237,7 @@ def _write_race(found: Comparison, file: FilePath) -> None:
     runs = [item.lap for item in ranked]
     title = f"Race of {len(runs)} controllers on {found.path_name}"
     write_runs_page(
-        file, title, about, "adp compare", runs, Table(("controller", *_RACE), tuple(rows))
+        file, title, about, "adp compare", runs, Table(("controller", *_COLUMNS), tuple(rows))
     )
 
 
