@@ -75,8 +75,10 @@ def draw_over_time(
         panels[0].set_title(title)
         if panels[0].get_legend_handles_labels()[1]:
             panels[0].legend()
-        end = max((float(time[-1]) for time, *_ in curves), default=until)
-        panels[-1].set(xlabel="time [s]", xlim=(0.0, min(until, end)))
+        panels[-1].set_xlabel("time [s]")
+        if math.isfinite(until):
+            end = max((float(time[-1]) for time, *_ in curves), default=until)
+            panels[-1].set_xlim(0.0, min(until, end))
         figure.tight_layout()
 
     save_figures({file.name: ((9.0, 3.0 + 0.9 * len(labels)), draw)}, file.parent)
