@@ -201,14 +201,11 @@ def _starts(given: object, folder: FilePath) -> FloatArray:
             named = _file("file", given["file"], folder)
             return _checked_starts(read_starts(named))
         with errors_in("starts"):
-            return _random_starts({str(name): value for name, value in given.items()})
+            entries = {str(name): value for name, value in given.items()}
+            asked = build(_RandomStartsEntry, entries).starts
+        uniform = np.random.default_rng(asked.seed).uniform(-1.0, 1.0, (asked.random, 3))
+        return np.asarray(uniform * asked.box)
     return _checked_starts(given)
-
-
-def _random_starts(entries: Mapping[str, object]) -> FloatArray:
-    asked = build(_RandomStartsEntry, entries).starts
-    uniform = np.random.default_rng(asked.seed).uniform(-1.0, 1.0, (asked.random, 3))
-    return np.asarray(uniform * asked.box)
 
 
 def _checked_starts(given: object) -> FloatArray:
@@ -268,7 +265,9 @@ def _noise_seeds(given: object, robots: tuple[Robot, ...], starts: int) -> tuple
 def optimal_costs(conditions: Conditions, settings: Settings, source: PathSource) -> FloatArray:
     """Return J* of each start, of the ideal robot, by the conditions' cost (B,); NaN if unknown."""
     unknown = np.full(len(conditions.starts), math.nan)
-    name = _same_name(source.name)
+    name = source.name
+    if name.startswith("circle:"):  # as the table has it, however its curvature is written
+        name = f"circle:{float(name.removeprefix('circle:'))}"
     known = (
         conditions.forty
         and name in _PATHS
@@ -290,10 +289,3 @@ def _reference_problem(base: Settings, settings: Settings) -> bool:
         and not motion.limited
         and math.isinf(motion.max_lateral_accel)
     )
-
-
-def _same_name(name: str) -> str:
-    """Return the name by which the table has a circle, however its curvature is written."""
-    if not name.startswith("circle:"):
-        return name
-    return f"circle:{float(name.removeprefix('circle:'))}"  # read before as a path

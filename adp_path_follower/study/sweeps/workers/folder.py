@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path as FilePath
 from typing import Self
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -128,9 +127,8 @@ class PartsFolder(OutputFolder):
         """Run missing parts; `progress` takes the fraction done; an AdpError keeps others."""
         found = workers.results(functools.partial(run_part, self.sweep), missing)
         for done, (part, columns) in enumerate(found, start=1):
-            table = pa.table({name: _array(values) for name, values in columns.items()})
             buffer = io.BytesIO()
-            pq.write_table(table, buffer)
+            pq.write_table(pa.table(columns), buffer)
             self.write(self.file_of(part), buffer.getvalue())
             progress(done / len(missing))
 
@@ -158,7 +156,3 @@ def _read(file: FilePath) -> Columns:
     """Return the columns of a part, which may hold many combinations, one read after the other."""
     table = pq.read_table(file)
     return {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
-
-
-def _array(values: np.ndarray) -> pa.Array:
-    return pa.array(values.tolist(), pa.string()) if values.dtype == object else pa.array(values)
