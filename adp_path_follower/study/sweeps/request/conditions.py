@@ -158,6 +158,22 @@ class Conditions:
         """Return how many runs are made and stored together: few files, and whole groups."""
         return _MOST_AT_ONCE // self.runs_each * self.runs_each or _MOST_AT_ONCE
 
+    def optimal_costs(self, settings: Settings, source: PathSource) -> FloatArray:
+        """Return J* of each start, of the ideal robot, by the cost here (B,); NaN if unknown."""
+        name = source.name
+        if name.startswith("circle:"):  # as the table has it, however its curvature is written
+            name = f"circle:{float(name.removeprefix('circle:'))}"
+        known = (
+            self.forty
+            and name in _PATHS
+            and self.run.start_arc_length == 0.0
+            and self.run.duration >= _LONG_ENOUGH
+            and _reference_problem(self.settings, settings)
+        )
+        if not known:
+            return np.full(len(self.starts), math.nan)
+        return read_csv_columns(_COSTS, _PATHS)[:, _PATHS.index(name)]
+
 
 def read_conditions(
     entries: Mapping[str, object], folder: FilePath, run: RunSettings
@@ -260,22 +276,6 @@ def _noise_seeds(given: object, robots: tuple[Robot, ...], starts: int) -> tuple
             "noisy: give one position_noise, or leave noise_seeds out"
         )
     return tuple(sorted(seeds))
-
-
-def optimal_costs(conditions: Conditions, settings: Settings, source: PathSource) -> FloatArray:
-    """Return J* of each start, of the ideal robot, by the conditions' cost (B,); NaN if unknown."""
-    unknown = np.full(len(conditions.starts), math.nan)
-    name = source.name
-    if name.startswith("circle:"):  # as the table has it, however its curvature is written
-        name = f"circle:{float(name.removeprefix('circle:'))}"
-    known = (
-        conditions.forty
-        and name in _PATHS
-        and conditions.run.start_arc_length == 0.0
-        and conditions.run.duration >= _LONG_ENOUGH
-        and _reference_problem(conditions.settings, settings)
-    )
-    return read_csv_columns(_COSTS, _PATHS)[:, _PATHS.index(name)] if known else unknown
 
 
 def _reference_problem(base: Settings, settings: Settings) -> bool:

@@ -18,12 +18,7 @@ from adp_path_follower.core.path.nearest import beside
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import Value, update
 from adp_path_follower.study.simulation.simulate import simulate
-from adp_path_follower.study.sweeps.request.conditions import (
-    Conditions,
-    PathSource,
-    Robot,
-    optimal_costs,
-)
+from adp_path_follower.study.sweeps.request.conditions import Conditions, PathSource, Robot
 from adp_path_follower.study.sweeps.request.objectives import Score, score_of_runs
 from adp_path_follower.study.sweeps.request.request import Sweep
 
@@ -160,7 +155,7 @@ def simulate_runs(conditions: Conditions, settings: Settings, runs: np.ndarray) 
             "start": start[some],
             **dict(zip(("start_s", "start_y", "start_theta"), starts.T, strict=True)),
             "robot_seed": seeds,
-            "optimal_cost": optimal_costs(conditions, settings, source)[start[some]],
+            "optimal_cost": conditions.optimal_costs(settings, source)[start[some]],
         }
         seeded = dataclasses.replace(robot.plant, seed=int(seeds[0]))
         robot = dataclasses.replace(robot, plant=seeded)

@@ -19,7 +19,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.simulation.simulate import read_starts
-from adp_path_follower.study.sweeps.request.conditions import PathSource, optimal_costs
+from adp_path_follower.study.sweeps.request.conditions import PathSource
 from adp_path_follower.study.sweeps.request.ranges import Range
 from adp_path_follower.study.sweeps.request.request import read_sweep, read_tuning
 from adp_path_follower.study.sweeps.workers.runs import run_part
@@ -153,7 +153,7 @@ def test_the_optimum_is_that_of_the_reference_and_known_only_there(tmp_path):
     conditions = sweep_of(tmp_path, free + "starts: forty").conditions
     for name in ("lissajous", "line", "circle:0.5", "circle:1"):
         key = name.replace(":", "").replace("circle1", "circle1.0")
-        found = optimal_costs(conditions, conditions.settings, PathSource(name))
+        found = conditions.optimal_costs(conditions.settings, PathSource(name))
         assert found.tolist() == reference[key]["costs"]
     for changed in (
         "starts: forty",  # with the default limits
@@ -165,9 +165,9 @@ def test_the_optimum_is_that_of_the_reference_and_known_only_there(tmp_path):
         free.replace("}", ", max_linear_accel: 1.0}") + "starts: forty",
     ):
         other = sweep_of(tmp_path, changed).conditions
-        found = optimal_costs(other, other.settings, PathSource("lissajous"))
+        found = other.optimal_costs(other.settings, PathSource("lissajous"))
         assert np.isnan(found).all(), changed
-    assert np.isnan(optimal_costs(conditions, conditions.settings, PathSource("circle:0.7"))).all()
+    assert np.isnan(conditions.optimal_costs(conditions.settings, PathSource("circle:0.7"))).all()
 
 
 def test_starts_from_a_box_are_in_it_and_always_the_same(tmp_path):
