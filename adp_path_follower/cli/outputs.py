@@ -1,7 +1,6 @@
 """Output files: what is wrong with them is one sentence, said before the work if possible."""
 
 import contextlib
-import io
 import json
 import math
 import os
@@ -46,11 +45,8 @@ def whole_file(file: FilePath) -> Iterator[FilePath]:
 
 def write_npz(file: FilePath, arrays: dict[str, Any]) -> None:
     """Write arrays to a compressed NumPy file of exactly this name; may raise FileError."""
-    content = io.BytesIO()  # a zip file that cannot be finished complains once more at its end
-    np.savez_compressed(content, **arrays)
-    with output_to(file):
-        # Not getbuffer(): Python 3.12.1 crashes when an exception's traceback holds on to one.
-        _write_whole(file, content.getvalue())
+    with whole_file(file) as place, place.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
 
 
 def check_writable(*files: FilePath | None) -> None:
