@@ -238,6 +238,17 @@ def test_an_interrupted_player_is_exit_code_130(bag, tmp_path, monkeypatch):
     assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "adp: interrupted")
 
 
+def test_without_plotly_the_bag_of_a_replay_is_there_without_a_report(
+    tmp_path, monkeypatch, capsys
+):
+    from adp_path_follower.cli.bags import replay as command
+
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    command._write_report(tmp_path / "bag", {"odom": "/odom"}, tmp_path / "new", False)
+    said = capsys.readouterr().out
+    assert said.startswith(f"In {tmp_path}: new/, without a report: the report needs Plotly: ")
+
+
 def test_what_a_configuration_says_is_read_again():
     settings, path = load_settings(Settings, "path_follower"), lissajous()
     found = parse_configuration(configuration_text(settings, path, 12, Counts(3, 2, 1)))
