@@ -46,7 +46,7 @@ def test_a_node_finds_its_policy_far_from_the_path_while_it_drives(
     again = replay(run)
     moving = again.answered & again.replayed.any(axis=1)
     assert again.identical[moving].all()
-    stamps, driven = again.stamp[moving], again.replayed[moving]
+    stamps, driven = again.steps.stamp[moving], again.replayed[moving]
     assert (driven >= [0.0, -1.5]).all()
     assert (driven <= [1.0, 1.5]).all()
     # It changes within a second, by no more than from limit to limit.

@@ -85,7 +85,7 @@ def test_every_step_is_recorded(bags):
 def test_recorded_commands_are_those_of_path_follower_to_the_last_bit(bags):
     for bag in bags:
         again = replay(read_run(bag))
-        assert len(again.stamp) == round(100 * DURATION) + 1
+        assert len(again.steps.stamp) == round(100 * DURATION) + 1
         assert again.identical.all()
         # Not trivially so: another gain gives other commands.
         assert np.ptp(again.recorded[:, 0]) > 0.1
@@ -100,9 +100,9 @@ def test_recorded_weights_are_those_of_path_follower_to_the_last_bit(bags):
 
 def test_two_runs_give_the_same_commands(bags):
     first, second = (replay(read_run(bag)) for bag in bags)
-    assert np.array_equal(first.stamp, second.stamp)
+    assert np.array_equal(first.steps.stamp, second.steps.stamp)
     assert np.array_equal(first.recorded, second.recorded)
-    assert np.array_equal(first.pose, second.pose)
+    assert np.array_equal(first.steps.pose, second.steps.pose)
 
 
 def test_ros_run_equals_the_ros_free_run(bags, paper):
