@@ -24,9 +24,9 @@ from adp_path_follower.study.comparison.compare import Comparison, Outcome, comp
 from adp_path_follower.study.comparison.controllers import CONTROLLERS, Contender, contenders
 from adp_path_follower.study.comparison.figures import draw_comparison
 from adp_path_follower.study.simulation.simulate import simulate
-from sim_unicycle.fault_script import without_nodes
 from commands import adp
 from folders import DATA
+from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import SimulatorSettings
 
 OPTIMUM = json.loads((DATA / "optimum.json").read_text())
