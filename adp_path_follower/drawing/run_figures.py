@@ -81,7 +81,7 @@ def draw_over_time(
             panels[-1].set_xlim(0.0, min(until, end))
         figure.tight_layout()
 
-    save_figures({file.name: ((9.0, 3.0 + 0.9 * len(labels)), draw)}, file.parent)
+    save_figures({file.name: ((9.0, (11 + 2 * len(labels)) / 3), draw)}, file.parent)
 
 
 def plotted(draw: Callable[[Axes], None], axes: Axes | None) -> Axes:
