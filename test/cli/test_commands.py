@@ -224,7 +224,10 @@ BAD_INPUT = [
     (["optimum", "--horizon", "1e7"], "horizon 10000000.0 s, but they must be finite, the horizon"),
     (["optimum", "--figure", "x.txt"], "figure x.txt must end in .png,"),
     (["optimum", "--figure", "x"], "figure x must end in .png,"),
-    (["optimum", "--check", "--set", "max_angular_accel=1"], "--check knows no limits of accel"),
+    (
+        ["optimum", "--check", "--set", "max_angular_accel=1"],
+        "--check is for ideal robots without limits of acceleration",
+    ),
     (["compare", "--controllers", "adp,pid"], "unknown controller 'pid': choose from adp,"),
     (["compare", "--controllers", "", "--out", "new"], "unknown controller ''"),
     (["compare", "--start", "nan", "0", "0", "--out", "new"], "starts must be finite values"),
