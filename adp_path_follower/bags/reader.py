@@ -22,6 +22,7 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.messages.raw import read_path
 
 _FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")
+_CONVERT = "convert one of ROS 1 with `rosbags-convert --src BAG --dst DIRECTORY`"
 _REPORTED = 20_000  # messages between two reports of progress
 _NEEDED = ("odom", "path")  # without which there is nothing to analyse or replay
 
@@ -45,9 +46,12 @@ def opened_bag(bag: FilePath) -> Iterator[tuple[Reader, list[str]]]:
         raise
     except Exception as error:  # a damaged file fails in the reading library wherever it will
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise FileError(
-            f"bag {bag} cannot be read: {reason.rstrip('.')}; `adp recover` may save what is in it"
-        ) from None
+        remedy = "`adp recover` may save what is in it"
+        if isinstance(error, KeyError):  # how the library says that it does not know an encoding
+            reason, remedy = f"it has a topic in {reason}", "leave it out, as `mcap filter` can"
+        elif "Profile is not" in reason:
+            remedy = f"{_CONVERT}, one of another tool with `adp recover`"
+        raise FileError(f"bag {bag} cannot be read: {reason.rstrip('.')}; {remedy}") from None
 
 
 def _bag_in(bag: FilePath) -> FilePath:
@@ -60,7 +64,8 @@ def _bag_in(bag: FilePath) -> FilePath:
             f"{bag.name}"
         )
     if bag.is_file() and bag.suffix not in _FILES:
-        raise FileError(f"file {bag} is no bag: give a directory, or one .mcap or .db3 file")
+        remedy = _CONVERT if bag.suffix == ".bag" else "give a directory, or one .mcap or .db3 file"
+        raise FileError(f"file {bag} is no bag of ROS 2: {remedy}")
     if not bag.is_dir() or (bag / "metadata.yaml").exists():
         return bag
     if any(set(file.suffixes) & set(_FILES) for file in bag.iterdir()):

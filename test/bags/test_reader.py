@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shutil
 import sqlite3
 
 import numpy as np
 import pytest
 import yaml
+from mcap.writer import Writer as Mcap
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -373,6 +375,30 @@ def test_of_two_types_on_a_topic_the_more_frequent_is_read_and_the_other_counted
         "topic /cmd_vel: 3 messages are geometry_msgs/msg/Twist, not "
         "geometry_msgs/msg/TwistStamped as the others: left out",
     )
+
+
+@pytest.mark.parametrize(
+    ("profile", "encoding", "words"),
+    [
+        ("ros1", "ros1msg", "convert one of ROS 1 with `rosbags-convert"),
+        ("", "ros2msg", "one of another tool with `adp recover`"),
+        ("ros2", "protobuf", "it has a topic in 'protobuf'; leave it out"),
+    ],
+)
+def test_files_of_other_kinds_are_one_sentence(tmp_path, profile, encoding, words):
+    file = tmp_path / "other.mcap"
+    with file.open("wb") as stream:
+        writer = Mcap(stream)
+        writer.start(profile=profile, library="another tool")
+        schema = writer.register_schema("nav_msgs/msg/Odometry", encoding, b"float64 x")
+        writer.add_message(writer.register_channel("/odom", "cdr", schema), 1, b"nothing", 1)
+        writer.finish()
+    with pytest.raises(FileError, match=re.escape(words)):
+        read_run(file)
+    old = tmp_path / "old.bag"
+    old.write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(FileError, match="no bag of ROS 2: convert one of ROS 1"):
+        read_run(old)
 
 
 def test_a_folder_that_holds_a_bag_means_that_bag(tmp_path):

@@ -209,7 +209,7 @@ BAD_INPUT = [
     (["empty"], "directory {folder}/empty holds no bag: neither metadata.yaml nor .mcap"),
     (["torn"], "bag {folder}/torn has no metadata.yaml: `adp recover` makes a bag of MCAP files"),
     (["run.mcap.zstd"], "run.mcap.zstd is packed: give the directory of its bag, or unpack it"),
-    (["run.csv"], "run.csv is no bag: give a directory, or one .mcap or .db3 file"),
+    (["run.csv"], "run.csv is no bag of ROS 2: give a directory, or one .mcap or .db3 file"),
     (["good", "--odom", "/nowhere"], "has no topic /nowhere; of a type that fits are: /odom"),
     (["good", "--cmd", "/odom"], "topic /odom of bag {folder}/good has the type nav_msgs"),
     (["good", "--require", "speed<1"], "--require 'speed<1' names no metric"),

@@ -207,6 +207,8 @@ BAD_INPUT = [
     (["simulate", "--path", "point.csv"], "path has 1 distinct points"),
     (["simulate", "--starts", "header.csv"], "has no column 's'"),
     (["simulate", "--start", "nan", "0", "0"], "starts must be finite"),
+    (["simulate", "--path", "line", "--start-arc-length", "101"], "the path is 100.00 m long"),
+    (["simulate", "--path", "line", "--start-arc-length", "-1"], "start_arc_length is -1 m"),
     (["simulate", "--duration", "-1"], "duration is -1.0 s"),
     (["simulate", "--json", "nowhere/runs.json"], "there is no directory nowhere"),
     (["simulate", "--sim-set", "friction=0.0"], "setting 'friction' is 0.0, but must be"),
@@ -220,8 +222,8 @@ BAD_INPUT = [
     (["demo", "--out", "empty"], "output empty is a file"),
     (["paper", "--out", "full"], "output full holds files already"),
     (["simulate", "--json", "x", "--npz", "./x"], "output x is given twice"),
-    (["optimum", "--horizon", "-1"], "horizon -1.0 s"),
-    (["optimum", "--horizon", "1e7"], "horizon 10000000.0 s, but they must be finite, the horizon"),
+    (["optimum", "--horizon", "-1"], "horizon is -1.0 s"),
+    (["optimum", "--horizon", "1e7"], "horizon is 10000000.0 s, but must be above 0 and at most"),
     (["optimum", "--figure", "x.txt"], "figure x.txt must end in .png,"),
     (["optimum", "--figure", "x"], "figure x must end in .png,"),
     (
@@ -235,7 +237,7 @@ BAD_INPUT = [
     (["compare", "--unlimited", "--set", "max_linear_accel=1", "--out", "new"], "drive backwards"),
     (["compare", "--out", "full"], "output full holds files already"),
     (["compare", "--starts", "header.csv"], "has no column 's'"),
-    (["compare", "--duration", "0"], "horizon 0.0 s"),
+    (["compare", "--duration", "0"], "horizon is 0.0 s"),
 ]
 
 

@@ -168,6 +168,14 @@ class Path:
             x, y = x + beyond * np.cos(heading), y + beyond * np.sin(heading)
         return PathFrame(components(x, y, heading), curvature)
 
+    def check_place(self, arc_length: float) -> None:
+        """Raise PathError if an arc length [m] is not finite, or beyond an open path's ends."""
+        inside = 0.0 <= arc_length <= self.length
+        if not (inside or (self.closed and math.isfinite(arc_length))):
+            raise PathError(
+                f"start_arc_length is {arc_length:g} m, but the path is {self.length:.2f} m long"
+            )
+
     def curvature(self, arc_length: ArrayLike) -> FloatArray:
         """Return the path curvature kappa [1/m] at each arc length, same shape."""
         return self.frame(arc_length).curvature

@@ -105,13 +105,14 @@ class OptimumSolver:
         horizon: float = HORIZON,
         plant: PlantSettings | None = None,
     ) -> None:
-        """Prepare; raise OptimumError for a place or a horizon that is not possible."""
+        """Prepare; raise PathError or OptimumError for an impossible place or horizon."""
         robot = plant or PlantSettings()
         self._horizon = horizon - robot.command_delay  # that commands act
-        if not (math.isfinite(start_arc_length) and self._horizon > 0.0 and horizon <= _LONGEST):
+        path.check_place(start_arc_length)
+        if not (self._horizon > 0.0 and horizon <= _LONGEST):
             raise OptimumError(
-                f"start_arc_length is {start_arc_length} m and horizon {horizon} s, but they must "
-                f"be finite, the horizon above {robot.command_delay:g} and at most {_LONGEST:g}"
+                f"horizon is {horizon} s, but must be above {robot.command_delay:g} and at most "
+                f"{_LONGEST:g}"
             )
         self.problem = Problem(settings, path, start_arc_length, 1.5 * horizon, robot)
         self._mesh = functools.lru_cache(_MOST_MESHES)(functools.partial(_Mesh, self.problem))

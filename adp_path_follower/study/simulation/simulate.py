@@ -151,10 +151,11 @@ def simulate(
 
     Blocks of `at_once` runs, by default as many as fit into 128 MB, bound the memory; the outcome
     is the same with any number. Raises AdpError for a start, duration or rate that is not finite,
-    or not positive.
+    or not positive, or a place that the path has not.
     """
     errors = checked_starts(starts)
-    _check(start_arc_length, duration, rate, learning, at_once)
+    path.check_place(start_arc_length)
+    _check(duration, rate, learning, at_once)
     if learning == "frozen":
         settings = update(settings, {"learning": False})
     size = _block_size(settings, path, duration) if at_once is None else at_once
@@ -205,12 +206,8 @@ def checked_starts(starts: ArrayLike) -> FloatArray:
     return errors
 
 
-def _check(
-    start_arc_length: float, duration: float, rate: float, learning: str, at_once: int | None
-) -> None:
+def _check(duration: float, rate: float, learning: str, at_once: int | None) -> None:
     """Raise `AdpError` if an argument of `simulate` is wrong."""
-    if not math.isfinite(start_arc_length):
-        raise AdpError(f"start_arc_length is {start_arc_length} m, but must be finite")
     if learning not in LEARNING_MODES:
         raise AdpError(f"learning is '{learning}', but must be one of {', '.join(LEARNING_MODES)}")
     if not (0.0 < duration < math.inf and 0.0 < rate <= HIGHEST_RATE):

@@ -154,7 +154,7 @@ def test_refuses_starts_that_are_none(start):
 
 @pytest.mark.parametrize("horizon", [-1.0, math.nan, math.inf, 1e7])
 def test_refuses_a_horizon_that_is_none(horizon):
-    with pytest.raises(OptimumError, match="must be finite, the horizon above 0 and at most 1000"):
+    with pytest.raises(OptimumError, match="but must be above 0 and at most 1000"):
         solver(horizon=horizon)
 
 
