@@ -17,12 +17,15 @@ from adp_path_follower.cli.parameters import parameters
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings, parameter_file_text
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
+from adp_path_follower.drawing.figure_style import STYLE
 from folders import ROOT
 from sim_unicycle.settings import SimulatorSettings
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 TOP = "adp_path_follower|sim_unicycle|bench|examples|test|docs|config|launch"
 GENERATED = ("bench/results/",)
+# An hour's drive is not driven again for a narrower picture of it.
+PICTURES = sorted({*(ROOT / "docs" / "images").glob("*.png")} - {ROOT / "docs/images/hour.png"})
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 
 
@@ -131,6 +134,14 @@ def test_links_lead_somewhere(page):
         linked = page.parent / file if file else page
         assert linked.exists(), target
         assert not anchor or anchor in _anchors(linked.read_text(encoding="utf-8")), target
+
+
+@pytest.mark.parametrize("file", PICTURES, ids=[file.stem for file in PICTURES])
+def test_text_in_pictures_can_be_read_on_a_phone(file):
+    """Ten points at the style's 130 dots an inch, shrunk to the 368 pixels of a page of 400."""
+    width = int.from_bytes(file.read_bytes()[16:20], "big")
+    size = 10.0 / 72.0 * STYLE["figure.dpi"] * min(1.0, 368.0 / width)
+    assert size > 10.0
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -304,7 +304,7 @@ def draw(hour: Hour, file: FilePath) -> None:
     """Draw memory over time."""
     times, memory = np.array(hour.memory).T
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+        figure = Figure(figsize=(5.0, 3.0), layout="constrained")
         axes = figure.subplots()
         axes.plot(times / 60.0, memory, lw=1.0, color=COLORS[0])
         axes.axvline(WARM_UP, color="0.6", lw=0.8)

@@ -49,7 +49,7 @@ def main() -> None:
     data = FilePath(adp_path_follower.__file__).parent / "data" / "forty_starts.csv"
     starts = np.asarray(read_csv_columns(data, ("s", "y", "theta")))[:12]
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 4.5))
+        figure = Figure(figsize=(5.0, 4.2))
         axes = figure.subplots()
         for color, (name, (path_name, values)) in zip(COLORS, _CHANGES.items(), strict=False):
             losses = _losses(build(Settings, values), named_path(path_name), starts)
@@ -60,8 +60,8 @@ def main() -> None:
         axes.set_xticks([0.01, 0.1, 1.0], ["0", "0.1", "1"])
         axes.set_xlabel("time of learning after the change, before the start [s]")
         axes.set_ylabel("loss J/J* − 1, mean of 12 starts")
-        axes.set_title("After a change the policy is near-optimal again within a second")
-        axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes.set_title("After a change the policy is\nnear-optimal again within a second")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15))
         figure.savefig(file, bbox_inches="tight")
 
 

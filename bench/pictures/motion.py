@@ -68,7 +68,7 @@ def from_the_sides(places: FloatArray) -> float:
 def draw(follower: PathFollower, rows: FloatArray, file: FilePath) -> None:
     """Draw planned and driven speed, and the angular velocity, over the first two corners."""
     with plt.rc_context(STYLE):
-        figure, (upper, lower) = plt.subplots(2, sharex=True, figsize=(7.0, 4.5))
+        figure, (upper, lower) = plt.subplots(2, sharex=True, figsize=(5.0, 4.5))
         place = np.linspace(0.0, 6.5, 2000)
         planned = np.broadcast_to(follower.profile.speed(place), place.shape)
         shown = rows[rows[:, 0] <= place[-1]]

@@ -6,6 +6,7 @@ python bench/pictures/path_figure.py
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path as FilePath
 
 import matplotlib as mpl
@@ -39,20 +40,20 @@ def cases() -> dict[str, np.ndarray]:
 def main() -> None:
     """Draw the figure."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+        figure = Figure(figsize=(5.0, 5.6), layout="constrained")
         all_axes = figure.subplots(2, 2).ravel()
         for axes, (title, poses) in zip(all_axes, cases().items(), strict=True):
             axes.plot(*poses.T, "o-", color="0.7", markersize=3, linewidth=1.0)
             for segment in prepare(poses, PathSettings(allow_reversing=True)).segments:
                 places = segment.path.points(0.005)[:, :2]
                 axes.plot(*places.T, color=COLORS[1 if segment.reverse else 0])
-            axes.set_title(title)
+            axes.set_title(textwrap.fill(title, 21))
             axes.set_aspect("equal")
             axes.set_xlabel("x [m]")
             axes.set_ylabel("y [m]")
         all_axes[0].set(xlim=(2.5, 3.1), ylim=(-0.1, 0.5))
         all_axes[1].set(xlim=(2.75, 3.25), ylim=(8.1, 8.6))
-        figure.savefig(_FILE, dpi=90)
+        figure.savefig(_FILE)
 
 
 if __name__ == "__main__":

@@ -42,11 +42,11 @@ def run(
     return result.trajectories
 
 
-def _pair(left: str, right: str) -> tuple[Figure, Axes, Axes]:
-    figure = Figure(figsize=(8.0, 2.8))
-    first, second = figure.subplots(1, 2)
-    first.set_title(left)
-    second.set_title(right)
+def _pair(upper: str, lower: str) -> tuple[Figure, Axes, Axes]:
+    figure = Figure(figsize=(5.0, 5.2))
+    first, second = figure.subplots(2, 1)
+    first.set_title(upper)
+    second.set_title(lower)
     return figure, first, second
 
 

@@ -39,17 +39,18 @@ _MAPS = (
 
 
 def main() -> None:
-    """Draw the three maps, side by side."""
+    """Draw the three maps, one below the other."""
     file = FilePath(sys.argv[1] if len(sys.argv) > 1 else "docs/images/value_map.png")
     with mpl.rc_context({**STYLE, "axes.grid": False}):
-        figure = Figure(figsize=(12.0, 4.4), layout="constrained")
+        figure = Figure(figsize=(5.0, 10.4), layout="constrained")
         for axes, (title, across, up, third, starts) in zip(
-            figure.subplots(1, 3), _MAPS, strict=True
+            figure.subplots(3, 1), _MAPS, strict=True
         ):
             shades = _draw_value(axes, across, up, third)
             _draw_ways(axes, across, up, starts)
             axes.set_title(title)
-        figure.colorbar(shades, ax=figure.axes, label="√V, the root of the cost to come")
+        label = "√V, the root of the cost to come"
+        figure.colorbar(shades, ax=figure.axes, label=label, location="bottom", aspect=30)
         figure.axes[0].legend(loc="upper left", labelcolor="white")
         figure.savefig(file)
 

@@ -135,7 +135,7 @@ def steps_by_size(figure: FilePath | None) -> list[Row]:
 def draw(found: dict[tuple[int, int], dict[str, float]], file: FilePath) -> None:
     """Draw how the time grows with samples and weights."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+        figure = Figure(figsize=(5.0, 3.8), layout="constrained")
         axes = figure.subplots()
         for color, weights in zip(COLORS, _WEIGHTS, strict=False):
             for name, style in (("step", "-o"), (_FLOOR, ":")):

@@ -20,7 +20,7 @@ _OWN = ("adp", "adp_cold")
 
 def draw_comparison(found: Comparison, directory: FilePath) -> list[FilePath]:
     """Draw cost, cross-track error and computing time of one path; return the PNG files."""
-    cost_size = 8.5, 0.45 * len(found.outcomes) + 1.6
+    cost_size = 5.0, 0.5 * len(found.outcomes) + 1.6
     drawings: Drawings = {
         "cost.png": (cost_size, lambda figure: draw_cost(figure.subplots(), found)),
         "cross_track.png": ((9.0, 6.0), partial(_cross_track, found)),
@@ -49,12 +49,13 @@ def draw_cost(axes: Axes, found: Comparison) -> None:
         failures = int(outcome.failed.sum())
         if failures:
             axes.text(1.0, row, f"{failures} failed", ha="right", va="center", transform=beside)
-    axes.set_yticks(range(len(ranked)), [outcome.name for outcome in ranked])
-    axes.set_ylim(-0.5, len(ranked) - 0.5)  # those of whom nothing is drawn, too
+        axes.text(0.01, row + 0.22, outcome.name, transform=beside)  # beside them is no room
+    axes.set_yticks(range(len(ranked)), [])
+    axes.set_ylim(-0.5, len(ranked) - 0.3)  # those of whom nothing is drawn, too
     _logarithmic(axes, x=any(np.isfinite(outcome.cost_ratio).any() for outcome in ranked))
     axes.set_xlabel("loss J/J* − 1 of each start (bar: median)")
     axes.set_title(
-        f"Cost beside the offline optimum, {len(found.starts)} starts, {found.path_name}"
+        f"Cost beside the offline optimum,\n{len(found.starts)} starts, {found.path_name}"
     )
 
 

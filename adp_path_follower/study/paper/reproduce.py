@@ -227,10 +227,10 @@ def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
     )
     files = draw_figures(view, directory, _thinned(found.optimum))
     drawings: Drawings = {
-        "long_run.png": ((9.0, 6.5), partial(_long_run, found.long_runs, labels)),
-        "excitation.png": ((7.0, 3.8), partial(_excitation, found.theorem)),
-        "gain_conditions.png": ((7.0, 3.8), partial(_gain_conditions, found.theorem)),
-        "lyapunov.png": ((7.0, 3.8), partial(_lyapunov, found.theorem)),
+        "long_run.png": ((5.0, 5.0), partial(_long_run, found.long_runs, labels)),
+        "excitation.png": ((5.0, 3.6), partial(_excitation, found.theorem)),
+        "gain_conditions.png": ((5.0, 3.6), partial(_gain_conditions, found.theorem)),
+        "lyapunov.png": ((5.0, 3.6), partial(_lyapunov, found.theorem)),
     }
     return files + save_figures(drawings, directory)
 
@@ -265,12 +265,12 @@ def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...], figure: Figur
             )
     weights.plot([], [], "k-", label="weight of y θ")
     weights.plot([], [], "k--", label="weight of y²")
-    title = "The printed laws for ten minutes: lateral regulation is unlearned"
+    title = "The printed laws for ten minutes:\nlateral regulation is unlearned"
     figure.suptitle(title)
     lateral.set(ylabel="y [m]", ylim=(-0.6, 0.6))
     weights.set(xlabel="time [s]", ylabel="actor weight")
     for axes in (lateral, weights):
-        axes.legend(**_ABOVE)
+        axes.legend(**_ABOVE | {"ncols": 2})
     figure.tight_layout()
 
 
