@@ -137,7 +137,7 @@ def _details(key: str, bags: Sequence[Charts]) -> list[str]:
             found.append(_COLOR_CAPTION)
         if any(np.isfinite(charts.track.target).any() for charts in bags):
             found.append("The ring is its virtual target.")
-        if any(charts.optimum is not None for charts in bags):
+        if len(bags) == 1 and bags[0].optimum is not None:  # beside several runs it is not drawn
             found.append("The orange arrow is the optimum from the same start.")
     panels = [charts.panels.get(key, ()) for charts in bags]
     if key == "errors" and max(map(len, panels)) > 2:

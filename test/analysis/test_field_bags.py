@@ -350,4 +350,5 @@ def test_bags_with_topics_of_their_own_are_compared_by_one_cost(tmp_path):
     mine, nav2 = (bag["metrics"] for bag in content["bags"])
     assert nav2["cross_track_max"] == pytest.approx(0.05, abs=1e-6)
     assert mine["cross_track_max"] == pytest.approx(0.2, abs=1e-6)
+    assert "orange arrow is the optimum" not in (tmp_path / "out" / "report.html").read_text()
     assert nav2["cost"] > 30.0 * 0.05**2 * 0.99
