@@ -52,6 +52,7 @@ class VirtualTarget:
         if self.arc_length.shape != pose.shape[:-1]:  # one start for a batch
             self.arc_length = np.broadcast_to(self.arc_length, pose.shape[:-1])
         if self._previous_error is not None and dt > 0.0:
+            self._reference.spend(self.arc_length, dt)
             speed_before = self._speed(self.arc_length, self._previous_error)
             guess = self.arc_length + dt * speed_before
             error = tracking_error(pose, self._path.frame(guess).pose)

@@ -26,6 +26,11 @@ SHARE = 0.8  # eta: of accelerations and angular velocity; the rest is for corre
 _SLOWEST = 0.05  # [m/s], and ...
 _SLOWEST_SHARE = 0.25  # ... of the highest speed: below, models take this for the speed
 _UNLIKE = 0.1  # share by which a ramp differs from another one
+_MAKES_GOOD = 0.3  # [s] at the highest speed in which lost time is made good, and ...
+_PREVIEW = 1.0  # [s] at the highest speed in which it is foreseen, ...
+_LEAST, _MOST = 0.7, 1.3  # by such a share of v_des
+_GRIP = 2.0  # [m/s^2] that motors and floors give to most robots
+_FOR_TURNS = 0.3  # share of a ramp that turns have for themselves, where time can be made good
 _TURNING = 0.05  # [m] over which the change of curvature is taken
 
 
@@ -43,6 +48,9 @@ class ConstantSpeed:
 
     model_speed = speed
 
+    def spend(self, arc_length: FloatArray, time: float) -> None:
+        """Note how a time [s] is spent: it is never late."""
+
 
 class SpeedProfile:
     """v_des at every arc length of a path."""
@@ -51,8 +59,9 @@ class SpeedProfile:
     def __init__(self, path: Path, settings: Settings) -> None:
         """Find the speeds at nodes along the path."""
         target, limits, motion = settings.target, settings.limits, settings.motion
-        self._desired = target.desired_speed
-        self.highest = min(target.desired_speed, float(limits.upper[0]))
+        self._desired, fastest = target.desired_speed, float(limits.upper[0])
+        self.highest = min(target.desired_speed, fastest)
+        self.fastest = min(fastest, _MOST * self.highest)  # to make good what was lost
         # At rest a lateral error cannot be corrected, so no model has a solution there.
         self.slowest = min(_SLOWEST, _SLOWEST_SHARE * self.highest)
         self.stops = not path.closed and math.isfinite(motion.max_linear_decel)
@@ -60,15 +69,16 @@ class SpeedProfile:
         curvature = path.samples.curvature
         pieces = len(curvature) - 1
         self._step = path.length / pieces
-        squared = self._pointwise(curvature, settings)
+        hurried = self._pointwise(curvature, settings)
         if self.stops:
-            squared[-1] = 0.0
+            hurried[-1] = 0.0
         bend = np.abs(curvature)
         bend = np.maximum(np.maximum(bend[:-1], bend[1:]), 1e-12)  # between two nodes
         turning = 0.5 * SHARE * motion.max_angular_accel / bend
         rise = 2.0 * self._step * np.minimum(SHARE * motion.max_linear_accel, turning)
         fall = 2.0 * self._step * np.minimum(SHARE * motion.max_linear_decel, turning)
-        self._squared = self._reachable(squared, rise, fall)
+        self._hurried = self._reachable(hurried, rise, fall)
+        self._squared = self._reachable(np.minimum(hurried, self.highest**2), rise, fall)
         self.varies = bool((self._squared != self._desired**2).any())
 
     def _reachable(self, squared: FloatArray, rise: FloatArray, fall: FloatArray) -> FloatArray:
@@ -81,13 +91,20 @@ class SpeedProfile:
         squared = _at_most_rising_by(squared[::-1], fall[::-1])[::-1]
         return squared[pieces : 2 * pieces + 1] if self._closed else squared
 
-    def within(self, ramp: float) -> SpeedProfile:
-        """Return the profile for a robot whose speed changes no faster than a ramp [m/s^2]."""
-        other = copy.copy(self)
-        most = np.full(len(self._squared) - 1, 2.0 * self._step * SHARE * ramp)
-        other._squared = self._reachable(self._squared, most, most)
-        other.varies = bool((other._squared != self._desired**2).any())
+    def within(self, ramp: float, hurries: bool = False) -> SpeedProfile:
+        """Return the profile for a robot whose speed changes no faster than a ramp [m/s^2].
+
+        If it hurries, `fastest` takes the place of `desired_speed`.
+        """
+        other, squared = copy.copy(self), self._hurried if hurries else self._squared
+        most = np.full(len(squared) - 1, 2.0 * self._step * SHARE * ramp)
+        other._squared, other.varies = self._reachable(squared, most, most), True
         return other
+
+    def times(self) -> FloatArray:
+        """Return when it passes its nodes (N,) [s], no slower than `slowest`."""
+        speed = np.sqrt(np.maximum(self._squared, self.slowest**2))
+        return np.append(0.0, np.cumsum(2.0 * self._step / (speed[1:] + speed[:-1])))
 
     def same_as(self, other: SpeedProfile) -> bool:
         """Return whether the speeds are the same everywhere."""
@@ -102,14 +119,30 @@ class SpeedProfile:
         """
         if not self.varies:
             return self._desired
+        speed: Number = np.sqrt(self.between_nodes(self._squared, arc_length))
+        return speed
+
+    def between_nodes(self, values: FloatArray, arc_length: FloatArray) -> FloatArray:
+        """Return values at arc lengths (...) [m], linear between those at the nodes (N,)."""
         place = arc_length
         if self._closed:
             place = place - self._length * np.floor(place / self._length)
-        position = np.fmin(np.fmax(place / self._step, 0.0), len(self._squared) - 1.0)
-        node = np.minimum(position.astype(np.intp), len(self._squared) - 2)
-        squared, ahead = self._squared[node], self._squared[node + 1]
-        speed: Number = np.sqrt(squared + (position - node) * (ahead - squared))
-        return speed
+        position = np.fmin(np.fmax(place / self._step, 0.0), len(values) - 1.0)
+        node = np.minimum(position.astype(np.intp), len(values) - 2)
+        here, ahead = values[node], values[node + 1]
+        return np.asarray(here + (position - node) * (ahead - here))
+
+    def foreseen(self, values: FloatArray) -> FloatArray:
+        """Return by how much growing values at the nodes (N,) grow within `_PREVIEW`, (N,).
+
+        A closed path goes on as it began.
+        """
+        nodes = self._step * np.arange(len(values))
+        ahead = nodes + _PREVIEW * self.highest
+        growth = np.interp(ahead, nodes, values) - values
+        if self._closed:
+            growth += np.interp(ahead - self._length, nodes, values)
+        return np.asarray(growth)
 
     def model_speed(self, arc_length: FloatArray) -> Number:
         """Return v_des, but nowhere less than `slowest`."""
@@ -119,12 +152,11 @@ class SpeedProfile:
         return speed
 
     def _pointwise(self, curvature: FloatArray, settings: Settings) -> FloatArray:
-        """Return the highest v_des^2 at each node (N,), whatever is before and after it."""
+        """Return the highest v^2 at each node (N,), whatever is before and after it."""
         limits, motion = settings.limits, settings.motion
         bend = np.maximum(np.abs(curvature), 1e-12)
         bend[1:-1] = np.maximum(bend[1:-1], np.maximum(bend[:-2], bend[2:]))  # of the surroundings
-        squared = np.full(len(bend), self.highest**2)
-        squared = np.minimum(squared, motion.max_lateral_accel / bend)
+        squared = np.minimum(self.fastest**2, motion.max_lateral_accel / bend)
         squared = np.minimum(squared, (SHARE * limits.max_angular_vel / bend) ** 2)
         if math.isfinite(motion.max_angular_accel):
             reach = max(1, round(0.5 * _TURNING / self._step))
@@ -140,6 +172,31 @@ class SpeedProfile:
         return np.asarray(squared)
 
 
+class RampedSpeed:
+    """The speed along a profile of a robot that changes it by a ramp.
+
+    It brakes before a bend, and gets up to speed after it: it loses time on the target of the
+    profile. To turn when that does, it is early before the bend and late after it. Therefore it is
+    the faster the later it is, and the more time it is about to lose. As far as `max_linear_vel`
+    leaves room for that, it changes its speed more gently: wheels that brake turn the less.
+    """
+
+    def __init__(self, profile: SpeedProfile, ramp: float) -> None:
+        """Take the profile, and the ramp [m/s^2]."""
+        room = (profile.fastest / profile.highest - 1.0) / (_MOST - 1.0)
+        ramp = min(ramp * (1.0 - room * _FOR_TURNS), _GRIP)
+        self._profile, self._most = profile, profile.within(ramp, hurries=True)
+        self._loss = profile.foreseen(profile.within(ramp).times() - profile.times())
+        self._gain = 1.0 / (profile.highest * _MAKES_GOOD)
+
+    def speed(self, arc_length: FloatArray, wanted: Number, late: Number) -> Number:
+        """Return it at arc lengths (...) [m], for what the profile wants, late by a time [s]."""
+        loss = late + self._profile.between_nodes(self._loss, arc_length)
+        share = np.minimum(np.maximum(1.0 + self._gain * wanted * loss, _LEAST), _MOST)
+        speed: Number = np.minimum(self._most.speed(arc_length), wanted * share)
+        return speed
+
+
 class SpeedReference:
     """The profile, approached from the robot's speed within its accelerations.
 
@@ -148,14 +205,17 @@ class SpeedReference:
         stops: Whether the robot brakes to the end of the path.
         rise: By how much v_des^2 may rise along the path, from the start on [m/s^2].
         start: Where it was launched [m], and v_des^2 there, (...) each; None before.
+        late: By how much a ramp has made it later than the profile since then [s], (...).
 
     """
 
     def __init__(self, profile: SpeedProfile, settings: Settings) -> None:
         """Take the accelerations; the profile holds from the start until `launch` is called."""
         motion = settings.motion
-        self._full = self.profile = profile
+        self.profile, self._forgets = profile, settings.target.target_gain
         self.stops, self._ramp = profile.stops, math.inf
+        self._ramped: RampedSpeed | None = None
+        self.late: Number = 0.0
         self.rise = 2.0 * SHARE * motion.max_linear_accel
         self._fall = 2.0 * SHARE * motion.max_linear_decel
         self._limited = math.isfinite(self.rise) or math.isfinite(self._fall)
@@ -164,10 +224,11 @@ class SpeedReference:
     @property
     def varies(self) -> bool:
         """Return whether v_des is anything else than `desired_speed`, anywhere."""
-        return self.profile.varies or self.start is not None
+        return self.profile.varies or self.start is not None  # a ramp changes only such speeds
 
     def launch(self, arc_length: FloatArray, speed: Number) -> None:
         """Approach the profile from a speed (...) [m/s] at arc lengths (...) [m]."""
+        self.late = 0.0
         if self._limited:
             from_rest = np.maximum(speed, self.profile.slowest)  # at zero it would never start
             self.start = (arc_length, from_rest**2)
@@ -183,10 +244,26 @@ class SpeedReference:
     def keep_within(self, ramp: float) -> None:
         """Change the speed no faster than a ramp [m/s^2] that the robot seems to have."""
         if abs(1.0 / ramp - 1.0 / self._ramp) > _UNLIKE / self._ramp:
-            self._ramp, self.profile = ramp, self._full.within(ramp)
+            self._ramp, without = ramp, ramp == math.inf or not self.profile.varies
+            self._ramped = None if without else RampedSpeed(self.profile, ramp)
+
+    def spend(self, arc_length: FloatArray, time: float) -> None:
+        """Note that a time [s] is spent from arc lengths (...) [m] on.
+
+        Being late is forgotten by k1, as the target of the profile would wait for the robot.
+        """
+        if self._ramped is not None:
+            wanted = np.maximum(self._wanted(arc_length), self.profile.slowest)
+            gained = self.speed(arc_length) / wanted
+            self.late = self.late + time * (1.0 - gained - self._forgets * self.late)
 
     def speed(self, arc_length: FloatArray) -> Number:
         """Return v_des at arc lengths (...) [m], as `SpeedProfile.speed`."""
+        wanted = self._wanted(arc_length)
+        return wanted if self._ramped is None else self._ramped.speed(arc_length, wanted, self.late)
+
+    def _wanted(self, arc_length: FloatArray) -> Number:
+        """Return v_des of a robot without a ramp."""
         wanted = self.profile.speed(arc_length)
         if self.start is None:
             return wanted

@@ -26,7 +26,7 @@ _REVIEW = 0.2  # [s] between two looks at the bank
 _LONGEST_GAP = 1.0  # [s] between two steps of a robot that was controlled all the time
 _SHORTEST_PERIOD = 1e-6  # [s]
 _LONGEST_PERIOD = 0.1  # [s]: after a pause a command does not make up for it
-_GRIP = 2.0  # [m/s^2] that motors and floors give to most robots
+_STEEP = 3.0  # [m/s^2] of a ramp that is felt no more than none
 _LONG_AGO = -10.0  # [s]: by now it does what it was told
 _CLIPPED = 0.02  # [m/s, rad/s] by which a limit changes a command
 
@@ -137,7 +137,7 @@ class Robot:
     @property
     def acceleration(self) -> float:
         """Return how fast its speed may change along a path [m/s^2]; an ideal one's at once."""
-        return math.inf if self.ideal else min(self.model.ramp, _GRIP)
+        return math.inf if self.ideal else min(self.model.ramp, _STEEP)
 
     @property
     def learned(self) -> tuple[float, ...]:
