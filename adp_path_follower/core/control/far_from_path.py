@@ -10,7 +10,8 @@ import numpy as np
 from adp_path_follower.core.control.fallback import RiccatiPolicy
 from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.control.value_iteration import ValueProblem
+from adp_path_follower.core.control.value_grid import DistantValue, ValueGrid
+from adp_path_follower.core.control.value_iteration import HEADINGS, ValueProblem
 from adp_path_follower.core.control.value_store import problem_of, stored, value_grid
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
@@ -63,13 +64,16 @@ def register_far_policy(name: str, factory: Callable[[Settings], FarPolicy]) -> 
     OWN_FAR_POLICIES.register(name, factory)
 
 
-# [m] between which the approach takes over: the nodes are too rare there. Less below 0.5 m/s, and
-# more above 2 m/s, by the root of `ValueProblem.length_scale`.
-_GRID_ENDS = np.array([11.0, 14.0])
+# [m] between which the value at the best heading takes over: the nodes are too rare there. Less
+# below 0.5 m/s, and more above 2 m/s, by the root of `ValueProblem.length_scale`.
+_GRID_ENDS = np.array([6.0, 8.0])
+_STEERING = 3.0  # [1/s] of the error to the best heading there; more would amplify noise
 # [rad] from facing backwards, within which the slope by theta is taken over as much to both sides:
 # the heading of the half-angle form has a kink there, in whose notch robots would stay for ever.
 _NOTCH = 0.25
-_FASTEST = 1e3  # [m/s] where there is no limit
+_SPACING = 2.0 * math.pi / len(HEADINGS)  # [rad]
+_MOST_COVERED = 3.0  # [m] over which the coming curvature is averaged
+_PLACES = (np.arange(9) + 0.5) / 9.0  # of these, as shares
 _GRID_LEVELS = 0.7  # of `wide_region_levels`: the grid is exact where the learned policy is not yet
 
 
@@ -100,18 +104,33 @@ class GridPolicy:
     """The policy of the value function on a grid, which is found when the first robot needs it."""
 
     def __init__(self, settings: Settings) -> None:
-        self._settings = settings
-        self._grid = stored(problem_of(settings))
-        self._input_cost_inverse = settings.cost.inverse_input_cost()
+        self._settings, self._problem = settings, problem_of(settings)
+        self._grid = stored(self._problem)
+        self._inverse = settings.cost.inverse_input_cost()
+        self._ends = math.sqrt(self._problem.length_scale) * _GRID_ENDS
 
     def modified_input(
         self, zeta: FloatArray, curvature: FloatArray, feedforward: FloatArray
     ) -> FloatArray:
         """Return u = -1/2 R^-1 g^T V_e within the limits, shape (..., 2)."""
-        error = zeta[..., :3]
         if self._grid is None:
             self._grid = value_grid(self._settings)
-        grid, kappa, theta = self._grid, np.asarray(curvature), error[..., 2]
+        error, kappa = zeta[..., :3], np.asarray(curvature)
+        start, end = self._ends
+        distance = np.hypot(error[..., 0], error[..., 1])[..., None]
+        beyond = np.clip((distance - start) / (end - start), 0.0, 1.0)
+        u = np.zeros((*kappa.shape, 2))
+        if (beyond < 1.0).any():
+            wanted = descending_input(self._descent(self._grid, error, kappa), self._inverse)
+            u = saturate(wanted, feedforward, self._settings.limits)
+        if (beyond > 0.0).any():
+            wanted = self._distant_input(self._grid.distant, error, kappa, feedforward)
+            u = u + beyond * (saturate(wanted, feedforward, self._settings.limits) - u)
+        return u
+
+    def _descent(self, grid: ValueGrid, error: FloatArray, kappa: FloatArray) -> FloatArray:
+        """Return g^T V_e at errors (..., 3), shape (..., 2)."""
+        theta = error[..., 2]
         value, slope = grid.value_and_slope(error, kappa)
         backwards = np.abs(theta) > math.pi - _NOTCH
         if np.any(backwards):
@@ -121,9 +140,36 @@ class GridPolicy:
             notch = backwards & ((left > value) != (right > value))
             slope[..., 2] = np.where(notch, 0.5 * (left - right) / _NOTCH, slope[..., 2])
         ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
-        descent = np.stack([ahead, slope[..., 2]], axis=-1)
-        wanted = descending_input(descent, self._input_cost_inverse)
-        return saturate(wanted, feedforward, self._settings.limits)
+        return np.stack([ahead, slope[..., 2]], axis=-1)
+
+    def _distant_input(
+        self, value: DistantValue, error: FloatArray, kappa: FloatArray, feedforward: FloatArray
+    ) -> FloatArray:
+        """Return the input that turns to the best heading, shape (..., 2).
+
+        To the side on which less is lost on the way: the Hamiltonian's excess over the least one,
+        summed over the headings in between, is the value of a robot that only turns.
+        """
+        kappa = np.clip(kappa, -value.curvatures[-1], value.curvatures[-1])
+        place, theta, count = error[..., :2], error[..., 2], len(HEADINGS)
+        slope, limits = value.slope(place, kappa), self._settings.limits
+        low, high = (
+            np.asarray(bound[0] - feedforward[..., 0]) for bound in (limits.lower, limits.upper)
+        )
+        _, loss = self._problem.headings(place, kappa, slope, low, high)
+        best = loss.argmin(axis=-1)[..., None]
+        # From the best heading on, round to it again.
+        loss = np.take_along_axis(loss, (best + np.arange(count)) % count, -1)
+        before, least, after = loss[..., -1], loss[..., 0], loss[..., 1]
+        between = 0.5 * (before - after) / np.maximum(before + after - 2.0 * least, 1e-9)
+        ahead = np.mod(theta - HEADINGS[0] - (best[..., 0] + between) * _SPACING, 2.0 * math.pi)
+        loss = loss - least[..., None]
+        on_the_way = np.arange(count) * _SPACING < ahead[..., None]
+        left, whole = (loss * on_the_way).sum(-1), loss.sum(-1)
+        off = np.where(2.0 * left < whole, ahead, ahead - 2.0 * math.pi)
+        pull = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
+        v = -0.5 * self._inverse[0, 0] * pull
+        return components(v, -_STEERING * off - feedforward[..., 1])
 
 
 def _turned(error: FloatArray, angle: float) -> FloatArray:
@@ -133,33 +179,72 @@ def _turned(error: FloatArray, angle: float) -> FloatArray:
     return found
 
 
+class ApproachPolicy:
+    """The Riccati law whose lateral part saturates into an approach angle.
+
+    Its steering, -(P_yθ y + P_θθ θ) / R near the path, steers towards the heading
+    -P_yθ y / P_θθ; limiting that heading below a right angle leaves no place from which a
+    robot that cannot reverse would wait for ever. Its speed counts what a speed does at this
+    heading, (cos θ, sin θ): far off course, more speed drives away from the target.
+    """
+
+    def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
+        self._settings, self._riccati = settings, riccati
+        self._inverse = settings.cost.inverse_input_cost()
+
+    def modified_input(
+        self, zeta: FloatArray, curvature: FloatArray, feedforward: FloatArray
+    ) -> FloatArray:
+        """Return u within the limits, shape (..., 2)."""
+        matrix = self._riccati.matrix(curvature, feedforward[..., 0])
+        s, y, theta = (zeta[..., axis] for axis in range(3))
+        widest = self._settings.policy.approach_angle
+        slope = matrix[..., 1, 2] / matrix[..., 2, 2]
+        off_course = wrap_angle(theta + widest * np.tanh(slope * y / widest))
+        ahead, aside = matrix[..., 0, 0] * s, matrix[..., 1, 1] * y
+        pull = components(
+            ahead * np.cos(theta) + aside * np.sin(theta), matrix[..., 2, 2] * off_course
+        )
+        return saturate(-pull @ self._inverse, feedforward, self._settings.limits)
+
+
 class WideRegion:
     """A policy that takes over from the learned one outside the region of the samples."""
 
     def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
         """Take levels, limits and kind from the settings."""
-        self._policy, self._kind = settings.policy, settings.policy.wide_region
+        self._settings, self._riccati = settings, riccati
+        self._kind = settings.policy.wide_region
         self._levels = far_levels(settings)
         self._half_widths = settings.half_widths
-        scale = problem_of(settings).length_scale
-        self._grid_ends = math.sqrt(scale) * _GRID_ENDS
         if self._kind == "value_grid":
-            self._half_widths[:2] *= min(1.0, scale)
+            self._half_widths[:2] *= min(1.0, problem_of(settings).length_scale)
         self._widths: list[float] = self._half_widths.tolist()
-        self._limits = settings.limits
-        self._state_cost = settings.cost.state_cost_matrix()
-        self._target_gain = settings.target.target_gain
-        self._riccati = riccati
-        self._input_cost_inverse = settings.cost.inverse_input_cost()
-        self._is_own = settings.policy.wide_region not in WIDE_REGIONS
-        make = OWN_FAR_POLICIES.find(settings.policy.wide_region) if self._is_own else None
+        self._is_own = self._kind not in WIDE_REGIONS
+        make = OWN_FAR_POLICIES.find(self._kind) if self._is_own else None
         self._far: FarPolicy
         if make is not None:
             self._far = make(settings)
         elif self._kind == "value_grid":
             self._far = GridPolicy(settings)
+        elif self._kind == "approach":
+            self._far = ApproachPolicy(settings, riccati)
         else:
             self._far = RiccatiPolicy(settings, riccati)
+
+    def curvature(self, error: FloatArray, arc_length: FloatArray, here: FloatArray) -> FloatArray:
+        """Return the curvature [1/m] (...) to count for robots at errors (..., 3 or 4).
+
+        It is that `here`, at the target's `arc_length` [m] (...), or the mean over what the target
+        covers while it catches up with a robot ahead of it: faster by k1 s, for about s / 2 v_des.
+        """
+        if self._kind != "value_grid" or (error.ndim == 1 and not self.is_far(error)):
+            return here
+        target = self._settings.target
+        lead = target.target_gain * np.maximum(error[..., 0], 0.0) ** 2
+        covered = np.minimum(lead / (2.0 * target.desired_speed), _MOST_COVERED)[..., None]
+        places = np.asarray(arc_length)[..., None] + covered * _PLACES
+        return np.asarray(self._riccati.path.curvature(places).mean(axis=-1))
 
     def blend(
         self,
@@ -175,25 +260,9 @@ class WideRegion:
         share = self.share(zeta)[..., None]
         if not (share > 0.0).any():
             return learned
-        beyond = self._beyond_grid(zeta)
-        far = np.zeros_like(learned)
-        if (beyond < 1.0).any():
-            far = self._far.modified_input(zeta, curvature, feedforward)
-            far = saturate(np.asarray(far), feedforward, self._limits) if self._is_own else far
-        if (beyond > 0.0).any():
-            v_des = feedforward[..., 0]
-            wanted = self._approach(zeta, self._riccati.matrix(curvature, v_des), v_des)
-            approach = saturate(wanted, feedforward, self._limits)
-            far = far + beyond * (approach - far)
+        far = np.asarray(self._far.modified_input(zeta, curvature, feedforward))
+        far = saturate(far, feedforward, self._settings.limits) if self._is_own else far
         return np.asarray((1.0 - share) * learned + share * far)
-
-    def _beyond_grid(self, zeta: FloatArray) -> FloatArray:
-        """Return how much of the approach drives instead of the far policy, shape (..., 1)."""
-        if self._kind != "value_grid":
-            return np.full((*zeta.shape[:-1], 1), float(self._kind == "approach"))
-        distance = np.hypot(zeta[..., 0], zeta[..., 1])[..., None]
-        start, end = self._grid_ends
-        return np.asarray(np.clip((distance - start) / (end - start), 0.0, 1.0))
 
     def share(self, error: FloatArray) -> FloatArray:
         """Return how much of the far policy drives at errors (..., 3 or 4), from 0 to 1, (...)."""
@@ -211,38 +280,3 @@ class WideRegion:
             abs(value) > start * width
             for value, width in zip(error.tolist(), self._widths, strict=False)
         )
-
-    def _approach(self, zeta: FloatArray, matrix: FloatArray, v_des: FloatArray) -> FloatArray:
-        """Return the Riccati law whose lateral part saturates into an approach angle, (..., 2).
-
-        Its steering, -(P_yθ y + P_θθ θ) / R near the path, steers towards the heading
-        -P_yθ y / P_θθ; limiting that heading below a right angle leaves no place from which a
-        robot that cannot reverse would wait for ever. Its speed counts what a speed does at this
-        heading, (cos θ, sin θ): far off course, more speed drives away from the target.
-        """
-        s, y, theta = (zeta[..., axis] for axis in range(3))
-        slope = matrix[..., 1, 2] / matrix[..., 2, 2]
-        widest = self._widest_angle(s, y, matrix, v_des)
-        off_course = wrap_angle(theta + widest * np.tanh(slope * y / widest))
-        ahead, aside = matrix[..., 0, 0] * s, matrix[..., 1, 1] * y
-        pull = components(
-            ahead * np.cos(theta) + aside * np.sin(theta), matrix[..., 2, 2] * off_course
-        )
-        return np.asarray(-pull @ self._input_cost_inverse)
-
-    def _widest_angle(
-        self, s: FloatArray, y: FloatArray, matrix: FloatArray, v_des: FloatArray
-    ) -> FloatArray:
-        """Return the largest angle to the path [rad] that pays, shape (...).
-
-        It is smaller where the robot is far behind its target, which it gains on only by driving
-        along the path. There V_s is about Q_ss s^2 by the speed at which s shrinks, and V_y about
-        P_yy y or, far aside, Q_yy y^2 by the robot's speed.
-        """
-        state_cost, behind = self._state_cost, np.minimum(s, 0.0)
-        in_hand = np.maximum(min(float(self._limits.upper[0]), _FASTEST) - v_des, 0.0)
-        shrinks = np.maximum(in_hand - self._target_gain * behind, 1e-9)
-        ahead = state_cost[0, 0] * behind**2 * in_hand / shrinks
-        aside = state_cost[1, 1] * y**2 + matrix[..., 1, 1] * np.abs(y) * v_des
-        pays = np.maximum(np.arctan2(aside, ahead), 1e-6)
-        return np.asarray(np.minimum(pays, self._policy.approach_angle))

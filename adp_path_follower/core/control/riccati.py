@@ -129,6 +129,7 @@ class RiccatiSchedule:
         profile: SpeedProfile | ConstantSpeed | None = None,
     ) -> None:
         """Solve the Riccati equation over the path's curvatures, and the speeds of a profile."""
+        self.path = path
         low, high = path.curvature_range
         low = max(min(low, 0.0), -_MOST_CURVATURE)  # the tangents beyond the ends are straight
         high = min(max(high, 0.0), _MOST_CURVATURE)

@@ -7,6 +7,9 @@ Far away the value is no polynomial: the cheapest way turns left here and right 
 with the half-angle error q and the Riccati solution P, which take out the cone at the origin. rho
 is a cubic spline in (s, y, theta), stretched in s and y and periodic in theta, and linear in kappa
 between layers >= 0, as (y, theta, kappa) -> (-y, -theta, -kappa) changes nothing.
+
+Farther away a turn on the spot takes no time worth speaking of: there W(s, y) is the value at the
+best heading. The root of W by the distance is a spline in the distance's logarithm and the bearing.
 """
 
 import math
@@ -54,6 +57,70 @@ class GridAxes:
 
 
 @dataclass(frozen=True)
+class PolarAxes:
+    """Nodes in distance and bearing."""
+
+    shape: tuple[int, int]  # number of nodes in distance and bearing
+    start: float  # least and ...
+    end: float  # ... largest distance [m]
+
+    @property
+    def nodes(self) -> FloatArray:
+        """Return s, y and theta of each node, theta = 0, shape (3, *shape)."""
+        distance = np.geomspace(self.start, self.end, self.shape[0])[:, None]
+        bearing = -math.pi + 2.0 * math.pi / self.shape[1] * np.arange(self.shape[1])
+        s, y = distance * np.cos(bearing), distance * np.sin(bearing)
+        return np.stack([s, y, np.zeros(self.shape)])
+
+    @property
+    def spans(self) -> tuple[float, float]:
+        """Return nodes by the distance's logarithm, and by the bearing [1/rad]."""
+        count, around = self.shape
+        return (count - 1.0) / math.log(self.end / self.start), around / (2.0 * math.pi)
+
+    def position(self, error: FloatArray) -> FloatArray:
+        """Return places [nodes] of errors (2 or 3, ...) on the axes, (2, ...)."""
+        distance = np.clip(np.hypot(error[0], error[1]), self.start, self.end)
+        outwards, around = self.spans
+        bearing = np.arctan2(error[1], error[0])
+        return np.stack(
+            [
+                outwards * np.log(distance / self.start),
+                np.mod((bearing + math.pi) * around, self.shape[1]),
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class DistantValue:
+    """W over places and curvatures."""
+
+    axes: PolarAxes
+    curvatures: FloatArray  # kappa of the layers [1/m], from 0 upwards, shape (K,)
+    # Spline of the root of W by the distance in each layer, padded as that of `ValueGrid`, (K, ...)
+    coefficients: FloatArray
+
+    def slope(self, place: FloatArray, curvature: FloatArray) -> FloatArray:
+        """Return W_s and W_y at places [s, y] (..., 2), for kappa [1/m] (...), shape (..., 2)."""
+        left = np.where(np.asarray(curvature) < 0.0, -1.0, 1.0)
+        s, y = place[..., 0], place[..., 1] * left
+        layer, share = _layer(self.curvatures, np.abs(curvature))
+        position = self.axes.position(np.stack([s, y]))
+        node, weights = _taps(position, np.array(self.axes.shape) - (2, 1))
+        rows = (
+            (node[..., None] + _TAPS)[0][..., :, None],
+            (node[..., None] + _TAPS)[1][..., None, :],
+        )
+        block = _between(self.coefficients, layer, share, rows)
+        found = np.swapaxes(weights[0], -1, -2) @ block @ weights[1]
+        ratio, (outwards, around) = found[..., 0, 0], self.axes.spans
+        by_distance = ratio + outwards * found[..., 1, 0]
+        by_bearing = around * found[..., 0, 1]
+        by_s, by_y = s * by_distance - y * by_bearing, y * by_distance + s * by_bearing
+        return 2.0 * ratio[..., None] * np.stack([by_s, by_y * left], axis=-1)
+
+
+@dataclass(frozen=True)
 class ValueGrid:
     """V over errors and curvatures."""
 
@@ -63,6 +130,7 @@ class ValueGrid:
     # Spline of rho in each layer, one more at each end of s and y, and three of theta, shape (K,
     # n_s + 2, n_y + 2, n_theta + 3).
     coefficients: FloatArray
+    distant: DistantValue
 
     def value_and_slope(
         self, error: FloatArray, curvature: FloatArray
@@ -73,7 +141,7 @@ class ValueGrid:
         """
         left = np.where(np.asarray(curvature) < 0.0, -1.0, 1.0)
         mirror = np.stack([np.ones_like(left), left, left], axis=-1)
-        layer, share = self._layer(np.abs(curvature))
+        layer, share = _layer(self.curvatures, np.abs(curvature))
         mirrored = error * mirror
         ratio, ratio_slope = self._ratio(mirrored, layer, share)
         part = share[..., None, None]
@@ -82,37 +150,54 @@ class ValueGrid:
         slope = (2.0 * ratio * base)[..., None] * ratio_slope + (ratio**2)[..., None] * base_slope
         return ratio**2 * base, slope * mirror
 
-    def _layer(self, curvature: FloatArray) -> tuple[np.ndarray, FloatArray]:
-        """Return the layer below a curvature, and how far it is to the next, shape (...) each."""
-        layer = np.searchsorted(self.curvatures, curvature, side="right") - 1
-        layer = np.minimum(layer, len(self.curvatures) - 2)
-        low, high = self.curvatures[layer], self.curvatures[layer + 1]
-        return layer, np.minimum((curvature - low) / (high - low), 1.0)
-
     def _ratio(
         self, error: FloatArray, layer: np.ndarray, share: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return rho, shape (...), and its gradient by s, y and theta, shape (..., 3)."""
         place, stretch = self.axes.position(np.moveaxis(error, -1, 0))
-        last = np.array(self.axes.shape) - (2, 2, 1)  # the first of the last two nodes
-        last = last.reshape(3, *(1,) * (place.ndim - 1))
-        with np.errstate(invalid="ignore"):
-            node = np.clip(place.astype(np.intp), 0, last)  # also of an error that is none
-        t = place - node
-        powers = np.stack([np.ones_like(t), t, t * t, t**3], axis=-1)
-        rates = np.stack([np.zeros_like(t), np.ones_like(t), 2.0 * t, 3.0 * t * t], axis=-1)
-        weights = np.stack([powers @ _SPLINE, rates @ _SPLINE * stretch[..., None]], axis=-1)
+        node, weights = _taps(place, np.array(self.axes.shape) - (2, 2, 1))
+        for axis in range(3):
+            weights[axis][..., 1] *= stretch[axis][..., None]
         rows = [node[axis][..., None] + _TAPS for axis in range(3)]
         at = rows[0][..., :, None, None], rows[1][..., None, :, None], rows[2][..., None, None, :]
-        below = self.coefficients[(layer[..., None, None, None], *at)]
-        above = self.coefficients[(layer[..., None, None, None] + 1, *at)]
-        block = below + share[..., None, None, None] * (above - below)
+        block = _between(self.coefficients, layer, share, at)
         by_theta = block @ weights[2][..., None, :, :]  # (..., 4, 4, 2): value, slope
         by_y = np.swapaxes(weights[1], -1, -2)[..., None, :, :] @ by_theta  # (..., 4, 2, 2)
         first = np.einsum("...ai,...ajk->...ijk", weights[0], by_y)
         return first[..., 0, 0, 0], np.stack(
             [first[..., 1, 0, 0], first[..., 0, 1, 0], first[..., 0, 0, 1]], axis=-1
         )
+
+
+def _layer(curvatures: FloatArray, curvature: FloatArray) -> tuple[np.ndarray, FloatArray]:
+    """Return the layer below a curvature, and how far it is to the next, shape (...) each."""
+    layer = np.searchsorted(curvatures, curvature, side="right") - 1
+    layer = np.minimum(layer, len(curvatures) - 2)
+    low, high = curvatures[layer], curvatures[layer + 1]
+    return layer, np.minimum((curvature - low) / (high - low), 1.0)
+
+
+def _between(
+    coefficients: FloatArray, layer: np.ndarray, share: FloatArray, at: tuple[np.ndarray, ...]
+) -> FloatArray:
+    """Return coefficients at indices (..., 4, 4 or 4, 4, 4) between two layers (...)."""
+    around = (..., *[None] * len(at))
+    below, above = (coefficients[(number[around], *at)] for number in (layer, layer + 1))
+    return np.asarray(below + share[around] * (above - below))
+
+
+def _taps(place: FloatArray, last: np.ndarray) -> tuple[np.ndarray, list[FloatArray]]:
+    """Return the first of four coefficients about places (axes, ...) [nodes], and the weights.
+
+    The weights of each axis (..., 4, 2) are those of value and slope; `last` (axes,) is the first
+    of the last two nodes.
+    """
+    with np.errstate(invalid="ignore"):
+        node = np.clip(place.astype(np.intp), 0, last.reshape(-1, *(1,) * (place.ndim - 1)))
+    t = place - node
+    powers = np.stack([np.ones_like(t), t, t * t, t**3], axis=-1)
+    rates = np.stack([np.zeros_like(t), np.ones_like(t), 2.0 * t, 3.0 * t * t], axis=-1)
+    return node, list(np.stack([powers @ _SPLINE, rates @ _SPLINE], axis=-1))
 
 
 def half_angle_form(error: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -4,17 +4,26 @@
 
 for each layer of curvature, with the motion of equation (1), the running cost r, and the spline
 between nodes (semi-Lagrangian). Inputs that are tried: -1/2 R^-1 g^T V_e within the limits, that of
-the last sweep, and at first some from limit to limit.
+the last sweep, and at first some from limit to limit. Far away, where the heading may be any at
+once, W(s, y) is found in the same way, by straight motion.
 """
 
+import functools
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from adp_path_follower.core.control.riccati import riccati_solutions
-from adp_path_follower.core.control.value_grid import GridAxes, ValueGrid, half_angle_form
+from adp_path_follower.core.control.value_grid import (
+    DistantValue,
+    GridAxes,
+    PolarAxes,
+    ValueGrid,
+    half_angle_form,
+)
 from adp_path_follower.core.control.virtual_target import MOST_LEAD
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
 from adp_path_follower.core.settings.groups import (
@@ -42,7 +51,12 @@ _SETTLED = 5e-5  # mean change of rho in a sweep
 _MOST_SWEEPS = 400
 _UNLIMITED = 2.0  # speeds where there is no limit, as multiples of v_des + 1/s of the distance
 _MOST_TURN = 1.0  # [rad] of a step where there is no limit
-METHOD = (5, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
+_LEAD = 20.0  # [m] that set the target's speed on the grid: its nodes are too rare farther off
+_DISTANT, _ENDS = (40, 72), (5.0, 100.0)  # nodes, and [m] between them, of W
+_DISTANT_LAYERS = 2  # a sharper bend moves the target hardly more, beside such a distance
+_STEEP = 3.0  # root of W by the distance to begin with
+HEADINGS = np.linspace(-math.pi, math.pi, 73)[:-1]  # [rad] that are compared far away
+METHOD = (7, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
 
 
 @dataclass(frozen=True)
@@ -59,62 +73,90 @@ class ValueProblem:
         return min(self.target.desired_speed, float(self.limits.upper[0]))
 
     @property
+    def fastest(self) -> float:
+        """Return the highest speed of the virtual target [m/s]."""
+        return self.target.desired_speed + self.target.target_gain * MOST_LEAD
+
+    @property
     def length_scale(self) -> float:
         """Return the length within which the best way changes, as a share of the usual one."""
         return min(1.0, self.speed / _USUAL_SPEED) * max(1.0, self.speed / FAST)
+
+    def headings(
+        self,
+        place: FloatArray,
+        curvature: FloatArray | float,
+        slope: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the best v_e at all HEADINGS (..., N), and the Hamiltonian less s^2 and y^2.
+
+        W has its slope (..., 2) at the place [s, y] (..., 2); v_e is between low and high (...).
+        """
+        s, y, by_s, by_y = (
+            values[..., axis, None] for values in (place, slope) for axis in range(2)
+        )
+        kappa, gain = np.asarray(curvature)[..., None], self.target.target_gain
+        cost, cos, sin = self.cost.state_cost_matrix(), np.cos(HEADINGS), np.sin(HEADINGS)
+        effort = self.cost.input_cost_matrix()[0, 0]
+        descent = by_s * cos + by_y * sin
+        v = np.clip(-0.5 / effort * descent, low[..., None], high[..., None])
+        passing = np.clip(self.speed * cos + gain * s, -self.fastest, self.fastest)
+        drift = self.speed * descent - passing * (by_s * (1.0 - kappa * y) + by_y * kappa * s)
+        turned = HEADINGS * (cost[2, 2] * HEADINGS + 2.0 * (cost[0, 2] * s + cost[1, 2] * y))
+        return v, turned + drift + v * (effort * v + descent)
 
 
 def solve(problem: ValueProblem) -> ValueGrid:
     """Return the value function of a problem."""
     bend = _BEND * problem.length_scale
     coarse, fine = GridAxes(_COARSE, _REACH, bend), GridAxes(_FINE, _REACH, bend)
+    far = PolarAxes(_DISTANT, *(math.sqrt(problem.length_scale) * np.array(_ENDS)).tolist())
     count = len(_CURVATURES)
     riccati = riccati_solutions(
         _CURVATURES, np.full(count, problem.speed), problem.target, problem.cost
     )
     start = _Layer(problem, coarse, 0.0, riccati[0])
-    coefficients = start.iterate(start.filtered(np.full(_COARSE, 1.2)), _COARSE_SWEEPS, _SEARCHED)
-    axes, layers = coarse, []
+    coefficients = start.iterate(_filtered(np.full(_COARSE, 1.2)), _COARSE_SWEEPS, _SEARCHED)
+    axes, layers, distant = coarse, [], []
     for number, curvature in enumerate(_CURVATURES):
         layer = _Layer(problem, fine, float(curvature), riccati[number])
         guess = _interpolated(coefficients, axes.position(fine.nodes)[0])
-        coefficients = layer.iterate(layer.filtered(guess), _MOST_SWEEPS)
+        coefficients = layer.iterate(_filtered(guess), _MOST_SWEEPS)
         if curvature == 0.0:  # left and right are alike; neither is to be preferred
             ratio = _at_nodes(coefficients)
             mirrored = ratio[:, ::-1, -np.arange(_FINE[2])]
-            coefficients = layer.filtered(np.minimum(ratio, mirrored))
+            coefficients = _filtered(np.minimum(ratio, mirrored))
         axes = fine
         layers.append(coefficients)
-    return ValueGrid(fine, _CURVATURES, riccati, np.stack(layers))
+        if number < _DISTANT_LAYERS:
+            outer = _Distant(problem, far, float(curvature))
+            distant.append(outer.values(functools.partial(layer.value, coefficients)))
+    beyond = DistantValue(far, _CURVATURES[:_DISTANT_LAYERS], np.stack(distant))
+    return ValueGrid(fine, _CURVATURES, riccati, np.stack(layers), beyond)
 
 
-class _Layer:
-    """The problem at one curvature."""
+class _Nodes:
+    """The problem at one curvature, and motion from the nodes of a grid."""
 
-    def __init__(
-        self, problem: ValueProblem, axes: GridAxes, curvature: float, riccati: FloatArray
-    ) -> None:
-        self._axes, self._curvature, self._riccati = axes, curvature, riccati
+    def __init__(self, problem: ValueProblem, nodes: FloatArray, curvature: float) -> None:
+        self._curvature = curvature
         target, limits = problem.target, problem.limits
-        self._speed = problem.speed
+        self._speed, self._fastest = problem.speed, problem.fastest
         self._gain = target.target_gain
-        self._fastest = target.desired_speed + self._gain * MOST_LEAD
         self._state_cost = problem.cost.state_cost_matrix()
         self._input_cost = problem.cost.input_cost_matrix()
         forward = np.array([self._speed, curvature * self._speed])
-        self._nodes = np.moveaxis(axes.nodes, 0, -1)
-        distance = np.hypot(self._nodes[..., 0], self._nodes[..., 1])
+        self._nodes = np.moveaxis(nodes, 0, -1)
+        self._distance = np.hypot(self._nodes[..., 0], self._nodes[..., 1])
         self._stride = _STRIDE * max(1.0, problem.length_scale)
-        self._step = self._steps(distance, max(limits.upper[0], -limits.lower[0]))
+        self._step = self._steps(self._distance, max(limits.upper[0], -limits.lower[0]))
         # Where there is no limit, as much as a step can follow.
-        most = np.stack([_UNLIMITED * (self._speed + distance), _MOST_TURN / self._step], axis=-1)
+        driven = _UNLIMITED * (self._speed + self._distance)
+        most = np.stack([driven, _MOST_TURN / self._step], axis=-1)
         self._low = np.where(np.isfinite(limits.lower), limits.lower, -most) - forward
         self._high = np.where(np.isfinite(limits.upper), limits.upper, most) - forward
-        base, self._base_slope = half_angle_form(self._nodes, riccati)
-        self._base = np.maximum(base, 1e-9)
-        self._counted = distance < _COUNTED
-        scale = problem.length_scale
-        self._near = (np.abs(self._nodes) < _NEAR * np.array([scale, scale, 1.0])).all(-1)
 
     def _steps(self, distance: FloatArray, fastest: float) -> FloatArray:
         """Return the time of a step [s] at the nodes: longer where these are further apart."""
@@ -124,66 +166,6 @@ class _Layer:
         wide = np.maximum(_STEP, _TURN / np.maximum(turned, 1e-9))
         steps = np.minimum(np.minimum(_STEP * growth, wide), self._stride * growth / driven)
         return np.asarray(steps)
-
-    def filtered(self, ratio: FloatArray) -> FloatArray:
-        """Return the padded spline coefficients of rho at the nodes."""
-        from scipy.ndimage import spline_filter1d
-
-        found = spline_filter1d(ratio, 3, 0, mode="mirror")
-        found = spline_filter1d(found, 3, 1, mode="mirror")
-        found = spline_filter1d(found, 3, 2, mode="grid-wrap")
-        found = np.pad(found, ((1, 1), (1, 1), (0, 0)), mode="reflect")
-        return np.concatenate([found[..., -1:], found, found[..., :2]], axis=-1)
-
-    def iterate(self, coefficients: FloatArray, sweeps: int, searched: int = 0) -> FloatArray:
-        """Return the coefficients when sweeps change rho no more."""
-        ratio, kept = _at_nodes(coefficients), list[FloatArray]()
-        for sweep in range(sweeps):
-            if sweep % _POLICY_EVERY == 0:
-                tried = self._trials() if sweep < searched else []
-                kept = [self._descending(ratio, coefficients), *kept[-1:], *tried]
-                kept = [self._best(kept, coefficients)]
-                after, cost = self._moved(kept[-1])
-                place, base = self._axes.position(np.moveaxis(after, -1, 0))[0], self._form(after)
-            values = cost + base * _interpolated(coefficients, place) ** 2
-            found = np.where(self._near, 1.0, np.sqrt(np.maximum(values, 0.0) / self._base))
-            change = float(np.abs(found - ratio)[self._counted].mean())
-            ratio, coefficients = found, self.filtered(found)
-            if change < _SETTLED and sweep >= searched:
-                break
-        return coefficients
-
-    def _form(self, error: FloatArray) -> FloatArray:
-        return np.maximum(half_angle_form(_wrapped(error), self._riccati)[0], 1e-9)
-
-    def _best(self, inputs: list[FloatArray], coefficients: FloatArray) -> FloatArray:
-        """Return for each node the input with the least value after a step."""
-        best, least = inputs[0], np.full(self._base.shape, math.inf)
-        for u in inputs:
-            after, cost = self._moved(u)
-            place = self._axes.position(np.moveaxis(after, -1, 0))[0]
-            value = cost + self._form(after) * _interpolated(coefficients, place) ** 2
-            better = value < least
-            best, least = np.where(better[..., None], u, best), np.minimum(value, least)
-        return best
-
-    def _trials(self) -> list[FloatArray]:
-        """Return inputs from limit to limit at the nodes, (..., 2) each."""
-        shares = itertools.product(np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, 5))
-        return [self._low + share * (self._high - self._low) for share in map(np.array, shares)]
-
-    def _descending(self, ratio: FloatArray, coefficients: FloatArray) -> FloatArray:
-        """Return u = -1/2 R^-1 g^T V_e within the limits at the nodes, (..., 2)."""
-        slope = self._base_slope * (ratio**2)[..., None]
-        stretch = self._axes.position(np.moveaxis(self._nodes, -1, 0))[1]
-        for axis in range(3):
-            by_node = _at_nodes(coefficients, axis)
-            slope[..., axis] += 2.0 * ratio * self._base * by_node * stretch[axis]
-        theta = self._nodes[..., 2]
-        ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
-        descent = np.stack([ahead, slope[..., 2]], axis=-1)
-        wanted = -0.5 * descent @ np.linalg.inv(self._input_cost)
-        return np.clip(wanted, self._low, self._high)
 
     def _moved(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the errors a step later, and the cost on the way by Simpson's rule."""
@@ -214,6 +196,139 @@ class _Layer:
         return np.asarray(((wrapped @ self._state_cost) * wrapped).sum(-1))
 
 
+class _Layer(_Nodes):
+    """The value function near the path at one curvature."""
+
+    def __init__(
+        self, problem: ValueProblem, axes: GridAxes, curvature: float, riccati: FloatArray
+    ) -> None:
+        super().__init__(problem, axes.nodes, curvature)
+        self._axes, self._riccati = axes, riccati
+        self._fastest = problem.target.desired_speed + self._gain * _LEAD
+        base, self._base_slope = half_angle_form(self._nodes, riccati)
+        self._base = np.maximum(base, 1e-9)
+        self._counted = self._distance < _COUNTED
+        scale = problem.length_scale
+        self._near = (np.abs(self._nodes) < _NEAR * np.array([scale, scale, 1.0])).all(-1)
+
+    def iterate(self, coefficients: FloatArray, sweeps: int, searched: int = 0) -> FloatArray:
+        """Return the coefficients when sweeps change rho no more."""
+        ratio, kept = _at_nodes(coefficients), list[FloatArray]()
+        for sweep in range(sweeps):
+            if sweep % _POLICY_EVERY == 0:
+                tried = self._trials() if sweep < searched else []
+                kept = [self._descending(ratio, coefficients), *kept[-1:], *tried]
+                kept = [self._best(kept, coefficients)]
+                after, cost = self._moved(kept[-1])
+                place, base = self._axes.position(np.moveaxis(after, -1, 0))[0], self._form(after)
+            values = cost + base * _interpolated(coefficients, place) ** 2
+            found = np.where(self._near, 1.0, np.sqrt(np.maximum(values, 0.0) / self._base))
+            change = float(np.abs(found - ratio)[self._counted].mean())
+            ratio, coefficients = found, _filtered(found)
+            if change < _SETTLED and sweep >= searched:
+                break
+        return coefficients
+
+    def value(self, coefficients: FloatArray, error: FloatArray) -> FloatArray:
+        """Return V of coefficients at errors (..., 3), shape (...)."""
+        place = self._axes.position(np.moveaxis(error, -1, 0))[0]
+        return np.asarray(self._form(error) * _interpolated(coefficients, place) ** 2)
+
+    def _form(self, error: FloatArray) -> FloatArray:
+        return np.maximum(half_angle_form(_wrapped(error), self._riccati)[0], 1e-9)
+
+    def _best(self, inputs: list[FloatArray], coefficients: FloatArray) -> FloatArray:
+        """Return for each node the input with the least value after a step."""
+        best, least = inputs[0], np.full(self._base.shape, math.inf)
+        for u in inputs:
+            after, cost = self._moved(u)
+            value = cost + self.value(coefficients, after)
+            better = value < least
+            best, least = np.where(better[..., None], u, best), np.minimum(value, least)
+        return best
+
+    def _trials(self) -> list[FloatArray]:
+        """Return inputs from limit to limit at the nodes, (..., 2) each."""
+        shares = itertools.product(np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, 5))
+        return [self._low + share * (self._high - self._low) for share in map(np.array, shares)]
+
+    def _descending(self, ratio: FloatArray, coefficients: FloatArray) -> FloatArray:
+        """Return u = -1/2 R^-1 g^T V_e within the limits at the nodes, (..., 2)."""
+        slope = self._base_slope * (ratio**2)[..., None]
+        stretch = self._axes.position(np.moveaxis(self._nodes, -1, 0))[1]
+        for axis in range(3):
+            by_node = _at_nodes(coefficients, axis)
+            slope[..., axis] += 2.0 * ratio * self._base * by_node * stretch[axis]
+        theta = self._nodes[..., 2]
+        ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
+        descent = np.stack([ahead, slope[..., 2]], axis=-1)
+        wanted = -0.5 * descent @ np.linalg.inv(self._input_cost)
+        return np.clip(wanted, self._low, self._high)
+
+
+class _Distant(_Nodes):
+    """The problem at one curvature far from the path, with headings that may be any at once."""
+
+    def __init__(self, problem: ValueProblem, axes: PolarAxes, curvature: float) -> None:
+        super().__init__(problem, axes.nodes, curvature)
+        self._problem, self._axes = problem, axes
+
+    def values(self, within: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return the coefficients, with the value `within` of errors (N, 3) nearer to the path."""
+        ratio = np.full(self._distance.shape, _STEEP)
+        kept = self._courses(ratio)
+        for sweep in range(_MOST_SWEEPS):
+            if sweep % _POLICY_EVERY == 0:
+                tried = self._courses(ratio)
+                now, before = (
+                    self._after_a_step(*self._ways(courses, within), ratio)
+                    for courses in (tried, kept)
+                )
+                kept = np.where((now < before)[..., None], tried, kept)
+                way = self._ways(kept, within)
+            found = np.sqrt(self._after_a_step(*way, ratio)) / self._distance
+            change = float(np.abs(found - ratio).mean())
+            ratio = found
+            if change < _SETTLED and sweep > _POLICY_EVERY:
+                break
+        return _filtered(ratio)
+
+    def _courses(self, ratio: FloatArray) -> FloatArray:
+        """Return the best heading and v_e by the slope of W at the nodes, (..., 2)."""
+        coefficients = _filtered(ratio)
+        place, layers = self._nodes[..., :2], np.stack([coefficients, coefficients])
+        value = DistantValue(self._axes, np.array([0.0, 1.0]), layers)
+        slope = value.slope(place, np.zeros(place.shape[:-1]))
+        limits = self._low[..., 0], self._high[..., 0]
+        v, hamiltonian = self._problem.headings(place, self._curvature, slope, *limits)
+        best = hamiltonian.argmin(axis=-1)
+        return np.stack([HEADINGS[best], np.take_along_axis(v, best[..., None], -1)[..., 0]], -1)
+
+    def _ways(
+        self, courses: FloatArray, within: Callable[[FloatArray], FloatArray]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return cost, places a step later [nodes], and distances there, 0 if within the nodes."""
+        self._nodes[..., 2] = courses[..., 0]
+        straight = np.full(courses.shape[:-1], -self._curvature * self._speed)
+        after, cost = self._moved(np.stack([courses[..., 1], straight], axis=-1))
+        distance = np.hypot(after[..., 0], after[..., 1])
+        inside = distance < self._axes.start
+        cost[inside] += within(after[inside])
+        place = self._axes.position(np.moveaxis(after, -1, 0))
+        return cost, place, np.where(inside, 0.0, distance)
+
+    @staticmethod
+    def _after_a_step(
+        cost: FloatArray, place: FloatArray, distance: FloatArray, ratio: FloatArray
+    ) -> FloatArray:
+        """Return W by linear interpolation: splines overshoot, and once grew without bound."""
+        from scipy.ndimage import map_coordinates
+
+        around = np.concatenate([ratio, ratio[:, :1]], axis=1)
+        onwards = distance * map_coordinates(around, place, order=1, mode="nearest")
+        return np.asarray(cost + onwards**2)
+
+
 def _chord(length: FloatArray, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how far an arc leads ahead and to the left of its beginning."""
     straight = length * np.sinc(turn / (2.0 * math.pi))
@@ -224,6 +339,18 @@ def _wrapped(error: FloatArray) -> FloatArray:
     found = error.copy()
     found[..., 2] = wrap_angle(error[..., 2])
     return found
+
+
+def _filtered(ratio: FloatArray) -> FloatArray:
+    """Return the padded spline coefficients of values at the nodes; the last axis is periodic."""
+    from scipy.ndimage import spline_filter1d
+
+    found, last = ratio, ratio.ndim - 1
+    for axis in range(last):
+        found = spline_filter1d(found, 3, axis, mode="mirror")
+    found = spline_filter1d(found, 3, last, mode="grid-wrap")
+    found = np.pad(found, [*[(1, 1)] * last, (0, 0)], mode="reflect")
+    return np.concatenate([found[..., -1:], found, found[..., :2]], axis=-1)
 
 
 def _interpolated(coefficients: FloatArray, place: FloatArray) -> FloatArray:

@@ -21,7 +21,12 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from adp_path_follower.core.control.value_grid import GridAxes, ValueGrid
+from adp_path_follower.core.control.value_grid import (
+    DistantValue,
+    GridAxes,
+    PolarAxes,
+    ValueGrid,
+)
 from adp_path_follower.core.control.value_iteration import METHOD, ValueProblem, solve
 from adp_path_follower.core.files import write_whole
 from adp_path_follower.core.settings.groups import Settings
@@ -67,25 +72,29 @@ def keep(problem: ValueProblem, content: bytes) -> None:
     """Keep the value function that a file has, if it is sound, as one of the last few."""
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            shape = tuple(int(n) for n in arrays["shape"])
-            axes = GridAxes((shape[0], shape[1], shape[2]), *map(float, arrays["lengths"]))
-            parts = [arrays[key] for key in ("curvatures", "riccati", "coefficients")]
+            shape, lengths = tuple(arrays["shape"].tolist()), arrays["lengths"].tolist()
+            near, far = GridAxes(shape[:3], *lengths[:2]), PolarAxes(shape[3:], *lengths[2:])
+            kappa, coefficients = arrays["curvatures"], arrays["coefficients"]
+            distant = DistantValue(far, kappa[: len(arrays["distant"])], arrays["distant"])
+            grid = ValueGrid(near, kappa, arrays["riccati"], coefficients, distant)
         if len(_found) >= _MOST_KEPT:
             _found.pop(next(iter(_found)))
-        _found[problem] = ValueGrid(axes, *parts)
+        _found[problem] = grid
 
 
 def store(problem: ValueProblem) -> bytes:
     """Find a value function, write its file, if that is possible, and return what is in it."""
     grid = solve(problem)
     content = io.BytesIO()
+    near, far = grid.axes, grid.distant.axes
     np.savez(
         content,
-        shape=grid.axes.shape,
-        lengths=(grid.axes.reach, grid.axes.bend),
+        shape=(*near.shape, *far.shape),
+        lengths=(near.reach, near.bend, far.start, far.end),
         curvatures=grid.curvatures,
         riccati=grid.riccati,
         coefficients=grid.coefficients,
+        distant=grid.distant.coefficients,
     )
     with contextlib.suppress(OSError):
         file = _file(problem)

@@ -11,13 +11,13 @@ from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedReference
 from adp_path_follower.core.settings.groups import TargetSettings
 
-MOST_LEAD = 20.0  # [m] of the robot ahead of the target, or behind it, that sets its speed
+MOST_LEAD = 40.0  # [m] of the robot ahead of the target, or behind it, that sets its speed
 
 
 class VirtualTarget:
     """The target that moves along the path by s_p' = v_des cos(theta) + k1 s.
 
-    Its speed stays below v_des + k1 20 m: one pose that cannot be must not send it away for good.
+    Its speed stays below v_des + k1 40 m: one pose that cannot be must not send it away for good.
     """
 
     def __init__(

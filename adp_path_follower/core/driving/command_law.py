@@ -129,7 +129,7 @@ class CommandLaw:
                 tried = saturate(self.actor_input(there), there.feedforward, limits)
                 found = there, tried, *self._bellman_error(there, *self._unforced(there), tried)
             doubt = self._doubt(self._fallback, *found, dt)
-        applied = self._safe_input(here, learned, doubt, dt)
+        applied = self._safe_input(here, arc_length, learned, doubt, dt)
         # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.
         wanted = within(applied + here.feedforward, limits)
         command = self._actuation.limited(wanted, self.settings)
@@ -221,14 +221,20 @@ class CommandLaw:
         return fallback.doubt(measured.error[..., 0], running_cost, value, *state, dt, drives)
 
     def _safe_input(
-        self, here: Situation, learned: FloatArray, doubt: FloatArray, dt: float
+        self,
+        here: Situation,
+        arc_length: FloatArray,
+        learned: FloatArray,
+        doubt: FloatArray,
+        dt: float,
     ) -> FloatArray:
         """Return the input after fallback and far policy, shape (..., 2), equation (6)."""
         place = (here.zeta, here.curvature, here.feedforward)
         applied = learned
         if self._fallback is not None:
             applied = self._fallback.blend(applied, doubt, *place)
-        far = self._wide_region.blend(applied, *place)
+        ahead = self._wide_region.curvature(here.zeta, arc_length, here.curvature)
+        far = self._wide_region.blend(applied, here.zeta, ahead, here.feedforward)
         self._since_change += dt
         if self._since_change < _CHANGE_TIME:
             before = self._leaving.blend(applied, *place)

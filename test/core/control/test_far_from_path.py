@@ -16,6 +16,7 @@ from adp_path_follower.core.path.library import circle, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.simulation.simulate import simulate
+from sim_unicycle.settings import PlantSettings
 
 HALF_WIDTHS = np.array([1.0, 2.0, 0.8])
 START, END = 1.0, 1.5
@@ -227,13 +228,103 @@ def test_a_robot_that_can_reverse_does_not_drive_away(name, slowest):
     assert np.linalg.norm(result.final_error, axis=1).max() < 0.05
 
 
-@pytest.mark.parametrize(
-    ("start", "optimal_cost"),  # by bench/endurance/region.py far
-    [
-        ((-27.309709, 4.295834, -2.222706), 3007.74),  # far behind its target
-        ((2.063654, 26.681417, -1.061869), 6435.19),  # far aside
-    ],
-)
-def test_from_far_away_the_approach_costs_little_more_than_the_optimum(start, optimal_cost):
-    result = simulate(build(Settings, {}), LINE, start, duration=150.0, rate=20.0, learning="warm")
-    assert 0.999 < float(result.cost[0]) / optimal_cost < 1.02
+# J* from starts in ±30 m, by collocation from six guesses over 150 s, on closed paths 100 to 120 s.
+# From (28.717, -6.386, -1.119) on the line they lead to 3640.19, undercut by 0.5 %: left out.
+FAR_OPTIMA = {
+    "line": {
+        (-27.309709, 4.295835, -2.222706): 3007.7602,  # far behind its target
+        (2.063654, 26.681417, -1.061869): 6435.1931,  # far aside
+        (21.730839, 17.959494, 1.202794): 4580.6892,  # far ahead
+        (24.517271, -1.960103, 2.936056): 2326.3313,  # facing backwards
+        (13.126283, -9.27861, -0.270116): 1069.8316,
+        (17.181788, -8.589834, 1.068957): 1465.0508,
+    },
+    "circle:0.2": {
+        (-16.487569, -11.990023, 2.347106): 2434.3881,
+        (3.209841, 29.730017, 1.838849): 5965.8163,
+    },
+    "lissajous": {
+        (-6.921109, 19.491074, -1.139073): 2735.4626,
+        (11.541957, 14.79586, -0.684334): 1762.6531,
+    },
+}
+
+
+@pytest.mark.parametrize("name", FAR_OPTIMA)
+def test_from_far_away_a_robot_costs_hardly_more_than_the_optimum(name):
+    starts, optimal_costs = list(FAR_OPTIMA[name]), list(FAR_OPTIMA[name].values())
+    result = simulate(
+        build(Settings, {}), named_path(name), starts, duration=100.0, rate=20.0, learning="warm"
+    )
+    ratio = result.cost / optimal_costs
+    assert ratio.min() > 0.999
+    assert np.median(ratio) < 1.001
+    assert ratio.max() < 1.004
+
+
+def test_before_a_sharp_bend_a_robot_ahead_turns_to_where_the_path_will_be():
+    """J* of starts in ±5 m by collocation; turning to the other side cost 6 % from the last one."""
+    optima = {
+        (1.927434, 3.158171, -0.977621): 31.864338,
+        (-4.551618, 0.715973, -2.222706): 51.993201,
+        (2.187714, -1.546435, -0.270116): 13.202109,
+        (4.759379, 2.81466, 2.160097): 104.433771,
+        (0.551144, 4.416214, -3.026448): 52.158262,
+        (3.891839, -1.102415, -1.685526): 43.327966,
+        (0.343942, 4.446903, -1.061869): 40.436272,
+        (4.086212, -0.326684, 2.936056): 51.903390,
+    }
+    result = simulate(
+        *(build(Settings, {}), named_path("lissajous"), list(optima)),
+        start_arc_length=15.527,
+        duration=40.0,
+        rate=20.0,
+        learning="warm",
+    )
+    ratio = result.cost / list(optima.values())
+    assert ratio.min() > 0.999
+    assert np.median(ratio) < 1.002
+    assert ratio.max() < 1.015
+
+
+def test_the_curvature_to_count_is_that_here_unless_the_robot_is_ahead():
+    chosen, path = build(Settings, {}), named_path("lissajous")
+    region = WideRegion(chosen, RiccatiSchedule(path, chosen.target, chosen.cost))
+    place = np.array(15.527)
+    here = path.curvature(place)
+    for error in ([0.2, 0.1, 0.0], [-4.0, 1.0, 0.5], [0.0, 3.0, 1.0]):
+        assert region.curvature(np.array(error), place, here) == pytest.approx(float(here))
+    # 4 m ahead the target covers 0.1 * 4^2 / (2 * 0.5) = 1.6 m more.
+    coming = np.mean(path.curvature(np.linspace(15.527, 15.527 + 1.6, 2001)))
+    found = region.curvature(np.array([[4.0, 0.0, 3.0]]), place[None], here[None])
+    assert found[0] == pytest.approx(coming, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["line", "lissajous"])
+def test_from_far_away_neither_noise_nor_lag_keeps_a_robot_between_two_ways(name):
+    """Where two ways cost the same the robot takes one, and does not turn to and fro."""
+    starts = np.array(
+        [[15.0, 0.0, 0.0], [15.0, 0.0, math.pi], [-15.0, 0.0, math.pi], [0.0, 15.0, math.pi / 2.0]]
+    )
+    sides = [[] for _ in starts]
+
+    def note(runs, time, pose, output):
+        far = np.hypot(*output.error[:, :2].T) > 5.0
+        hard = np.abs(output.command[:, 1]) > 0.7
+        for run in np.flatnonzero(far & hard):
+            sides[runs.start + run].append(np.sign(output.command[run, 1]))
+
+    imperfect = PlantSettings(
+        position_noise=0.01, heading_noise=0.01, angular_lag=0.2, command_delay=0.1
+    )
+    result = simulate(
+        *(build(Settings, {}), named_path(name), starts),
+        duration=60.0,
+        rate=20.0,
+        learning="frozen",
+        plant=imperfect,
+        observe=note,
+    )
+    assert not result.failed.any()
+    assert np.linalg.norm(result.final_error[:, :2], axis=1).max() < 0.2
+    assert max((np.diff(turns) != 0.0).sum() for turns in sides) <= 3

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from adp_path_follower.core.control import value_store
 from adp_path_follower.core.control.value_iteration import ValueProblem
@@ -91,6 +92,31 @@ def test_the_slope_is_that_of_the_value(grid):
         np.testing.assert_allclose(slope[:, axis], difference, rtol=1e-4, atol=1e-3)
 
 
+def test_the_slope_far_away_is_that_of_the_spline(grid):
+    """W is (r rho)^2, with rho by scipy on the layer of a line."""
+    distant, step, rng = grid.distant, 1e-4, np.random.default_rng(1)
+    distance, bearing = rng.uniform(6.0, 60.0, 200), rng.uniform(-math.pi, math.pi, 200)
+    place = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)])
+
+    def value(s, y):
+        r = np.hypot(s, y)
+        count, around = distant.axes.shape
+        rows = (count - 1) * np.log(r / distant.axes.start)
+        rows /= math.log(distant.axes.end / distant.axes.start)
+        columns = np.mod((np.arctan2(y, s) / math.pi + 1.0) * around / 2.0, around)
+        at = [rows + 1.0, columns + 1.0]
+        return (r * map_coordinates(distant.coefficients[0], at, order=3, prefilter=False)) ** 2
+
+    slope = distant.slope(place.T, np.zeros(200))
+    for axis in range(2):
+        shift = step * np.eye(2)[axis][:, None]
+        difference = (value(*(place + shift)) - value(*(place - shift))) / (2.0 * step)
+        np.testing.assert_allclose(slope[:, axis], difference, rtol=1e-4, atol=1e-2)
+    mirror = np.array([1.0, -1.0])
+    mirrored = distant.slope(place.T * mirror, np.full(200, -0.1)) * mirror
+    np.testing.assert_allclose(mirrored, distant.slope(place.T, np.full(200, 0.1)), rtol=1e-9)
+
+
 def test_one_robot_has_the_value_of_one_of_many_and_its_mirror_image(grid):
     for error, curvature in zip(STARTS, np.linspace(-1.0, 1.0, len(STARTS)), strict=True):
         value, slope = grid.value_and_slope(error, np.array(curvature))
@@ -124,22 +150,39 @@ def test_noise_does_not_keep_a_robot_between_two_ways():
         assert np.ptp(same) < 0.01 * same.mean()
 
 
+def fast(speed, most):
+    return {"desired_speed": speed, "max_linear_vel": most, "max_angular_vel": most}
+
+
 @pytest.mark.parametrize(
-    ("changes", "radius", "count", "duration"),
+    ("name", "changes", "radius", "count", "duration"),
     [
-        ({}, 18.0, 100, 130.0),
+        ("line", {}, 18.0, 100, 130.0),
+        ("lissajous", {}, 25.0, 40, 80.0),
         # Eight of 300 once stayed where they faced backwards.
-        ({"desired_speed": 2.0, "max_linear_vel": 3.0, "max_angular_vel": 3.0}, 3.0, 300, 30.0),
+        (
+            "line",
+            fast(2.0, 3.0),
+            3.0,
+            300,
+            30.0,
+        ),
         # Once 37 of 60 drove on backwards, beside a target that did as well.
-        ({"desired_speed": 5.0, "max_linear_vel": 9.0, "max_angular_vel": 9.0}, 6.0, 60, 20.0),
+        (
+            "line",
+            fast(5.0, 9.0),
+            6.0,
+            60,
+            20.0,
+        ),
     ],
 )
-def test_every_robot_comes_to_the_path(changes, radius, count, duration):
+def test_every_robot_comes_to_the_path(name, changes, radius, count, duration):
     angles = np.random.default_rng(3).uniform(-math.pi, math.pi, (count, 2))
     place = radius * np.column_stack([np.cos(angles[:, 0]), np.sin(angles[:, 0])])
     result = simulate(
         build(Settings, changes),
-        named_path("line"),
+        named_path(name),
         np.column_stack([place, angles[:, 1]]),
         learning="frozen",
         duration=duration,
@@ -157,6 +200,9 @@ def test_what_is_stored_is_read_again_to_the_last_bit(grid, tmp_path, monkeypatc
     again = value_grid(DEFAULT)
     assert again is not grid
     assert again.coefficients.tobytes() == grid.coefficients.tobytes()
+    assert again.distant.coefficients.tobytes() == grid.distant.coefficients.tobytes()
+    assert again.axes == grid.axes
+    assert again.distant.axes == grid.distant.axes
     (file,) = (tmp_path / "adp_path_follower").iterdir()
     file.write_bytes(file.read_bytes()[:1000])
     value_store._found.clear()
