@@ -143,12 +143,9 @@ class MonomialBasis(Basis):
     def expansion(self, zeta: FloatArray) -> Expansion:
         """Return sigma and the parts of sigma' at states of shape (..., 4)."""
         table = self._powers(zeta)
-        if zeta.ndim == 1:
-            together = table.take(self._factors).prod(axis=0)
-        else:  # in a batch, all factors at once would not fit into the caches
-            together = table.take(self._factors[0], axis=-1)
-            for factor in self._factors[1:]:
-                together *= table.take(factor, axis=-1)
+        together = table.take(self._factors[0], axis=-1)
+        for factor in self._factors[1:]:  # all at once would not fit into the caches
+            together *= table.take(factor, axis=-1)
         return Expansion(together[..., 0, :], together[..., 1:, :])
 
     def _powers(self, zeta: FloatArray) -> FloatArray:
