@@ -72,6 +72,7 @@ def test_of_each_period_the_first_step_is_told(peer, rate, expected):
     telemetry.destroy()
 
 
+@pytest.mark.nodes
 def test_a_controller_tells_of_as_many_steps_as_it_is_told_to(peer, start):
     poses = peer.listen(Vector3Stamped, "path_follower/measured_pose")
     errors = peer.listen(Vector3Stamped, "path_follower/tracking_error")
