@@ -249,18 +249,21 @@ class WideRegion:
     def blend(
         self,
         learned: FloatArray,
+        arc_length: FloatArray,
         zeta: FloatArray,
         curvature: FloatArray,
         feedforward: FloatArray,
     ) -> FloatArray:
         """Return the modified input, shape (..., 2), learned near the path and this far from it.
 
-        The learned input is within the limits, (..., 2); the rest is as in `modified_input`.
+        The learned input is within the limits, (..., 2), and the target at `arc_length` [m] (...);
+        the rest is as in `modified_input`.
         """
         share = self.share(zeta)[..., None]
         if not (share > 0.0).any():
             return learned
-        far = np.asarray(self._far.modified_input(zeta, curvature, feedforward))
+        coming = self.curvature(zeta, arc_length, curvature)
+        far = np.asarray(self._far.modified_input(zeta, coming, feedforward))
         far = saturate(far, feedforward, self._settings.limits) if self._is_own else far
         return np.asarray((1.0 - share) * learned + share * far)
 

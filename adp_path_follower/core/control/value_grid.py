@@ -107,11 +107,9 @@ class DistantValue:
         layer, share = _layer(self.curvatures, np.abs(curvature))
         position = self.axes.position(np.stack([s, y]))
         node, weights = _taps(position, np.array(self.axes.shape) - (2, 1))
-        rows = (
-            (node[..., None] + _TAPS)[0][..., :, None],
-            (node[..., None] + _TAPS)[1][..., None, :],
-        )
-        block = _between(self.coefficients, layer, share, rows)
+        outer, inner = node[..., None] + _TAPS
+        at = outer[..., :, None], inner[..., None, :]
+        block = _between(self.coefficients, layer, share, at)
         found = np.swapaxes(weights[0], -1, -2) @ block @ weights[1]
         ratio, (outwards, around) = found[..., 0, 0], self.axes.spans
         by_distance = ratio + outwards * found[..., 1, 0]

@@ -233,11 +233,10 @@ class CommandLaw:
         applied = learned
         if self._fallback is not None:
             applied = self._fallback.blend(applied, doubt, *place)
-        ahead = self._wide_region.curvature(here.zeta, arc_length, here.curvature)
-        far = self._wide_region.blend(applied, here.zeta, ahead, here.feedforward)
+        far = self._wide_region.blend(applied, arc_length, *place)
         self._since_change += dt
         if self._since_change < _CHANGE_TIME:
-            before = self._leaving.blend(applied, *place)
+            before = self._leaving.blend(applied, arc_length, *place)
             far = before + self._since_change / _CHANGE_TIME * (far - before)
         if self._near_path is None or self.robot_is_ideal:
             return far

@@ -55,7 +55,7 @@ def blended(kind, error, learned, curvature=0.0, **values):
     zeta = np.concatenate([error, np.zeros((*error.shape[:-1], 1))], axis=-1)
     kappa = np.full(error.shape[:-1], curvature)
     steady = 0.5 * np.stack([np.ones_like(kappa), kappa], axis=-1)
-    return region.blend(learned, zeta, kappa, steady)
+    return region.blend(learned, np.zeros_like(kappa), zeta, kappa, steady)
 
 
 def at_level(direction, level):
