@@ -146,6 +146,7 @@ def _ways(
             rate=50.0,
             learning="frozen",
             record=True,
+            record_weights=False,
         )
         for start, motions in zip(known, motions_of(found.trajectories), strict=True):
             ways[start] = motions

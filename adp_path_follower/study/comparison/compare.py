@@ -152,15 +152,8 @@ def compare(
         raise AdpError("starts must be finite values s, y, theta, three for each start")
     solver = OptimumSolver(settings, path, start_arc_length, duration, robot)
     reference = solver.problem.reference
-    for item in chosen:  # what cannot run is said before the long work
-        made = item.factory(item.settings, path, np.full(1, start_arc_length))
-        same_speed = hasattr(made, "reference")
-        if (reference.varies or settings.motion.limited) and not same_speed:
-            raise AdpError(
-                f"controller '{item.name}' knows neither a speed that varies along the path nor "
-                "limits of acceleration: derive it from PeerController, or set all max_*_accel, "
-                "max_linear_decel and desired_speed so that there are none"
-            )
+    uneven = reference.varies or settings.motion.limited
+    _check_factories(chosen, path, start_arc_length, uneven)
     count, among, lap = len(starts), len(chosen), _lap(path, start_arc_length, reference)
     ways: list[list[Motion]] = [[] for _ in starts]
     outcomes = []
@@ -182,7 +175,7 @@ def compare(
             controller=item.factory,
             record=True,
         )
-        many = run(starts[known], duration=duration, progress=part(2 * index))
+        many = run(starts[known], duration=duration, record_weights=False, progress=part(2 * index))
         single = run(duration=lap, progress=part(2 * index + 1))
         outcomes.append(_outcome(item, path, known, many, single, among))
         for start, motions in zip(
@@ -199,6 +192,20 @@ def compare(
     )
     notes = _notes(starts, optima, duration)
     return Comparison(path_name, starts, optimal, tuple(problems), notes, rated)
+
+
+def _check_factories(
+    chosen: Sequence[Contender], path: Path, start_arc_length: float, uneven: bool
+) -> None:
+    """Raise AdpError before the long work for what cannot run, or not where speeds are uneven."""
+    for item in chosen:
+        made = item.factory(item.settings, path, np.full(1, start_arc_length))
+        if uneven and not hasattr(made, "reference"):
+            raise AdpError(
+                f"controller '{item.name}' knows neither a speed that varies along the path nor "
+                "limits of acceleration: derive it from PeerController, or set all max_*_accel, "
+                "max_linear_decel and desired_speed so that there are none"
+            )
 
 
 def _lap(path: Path, start_arc_length: float, reference: SpeedReference) -> float:

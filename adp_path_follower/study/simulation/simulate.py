@@ -130,6 +130,7 @@ def simulate(
     faults: FaultScript | None = None,
     controller: ControllerFactory = PathFollower,
     record: bool = False,
+    record_weights: bool = True,
     observe: Observer | None = None,
     progress: Callable[[float], None] | None = None,
     at_once: int | None = None,
@@ -145,9 +146,9 @@ def simulate(
     number n has the seed of `plant` plus n, and entries of `faults` about messages have no effect.
     Poses that are late are moved on to now. Only a robot that is not ideal, or has faults, is
     driven by `robot_model`, one run at a time.
-    `record` keeps trajectories: 16 bytes for each weight of each step of each run. `observe` is
-    called at every control step, with which of the starts it is about, `progress` with the fraction
-    that is done.
+    `record` keeps trajectories: 16 bytes for each weight of each step of each run, unless
+    `record_weights` is false. `observe` is called at every control step, with which of the starts
+    it is about, `progress` with the fraction that is done.
 
     Blocks of `at_once` runs, by default as many as fit into 128 MB, bound the memory; the outcome
     is the same with any number. Raises AdpError for a start, duration or rate that is not finite,
@@ -164,7 +165,9 @@ def simulate(
     if modelled:
         size, settings = 1, update(settings, {"actuation_delay": 0.0})
     steps, period = round(duration * rate), 1.0 / rate
-    recorder = TrajectoryRecorder(len(errors), steps + 1, period) if record else None
+    recorder = None
+    if record:
+        recorder = TrajectoryRecorder(len(errors), steps + 1, period, record_weights)
     frame = path.frame(np.full(1, start_arc_length)).pose
 
     def outcome(first: int) -> SimulationResult:

@@ -21,7 +21,7 @@ class Trajectories:
     arc_length: FloatArray  # s_p [m], shape (B, T)
     command: FloatArray  # [v, w], shape (B, T, 2)
     modified_input: FloatArray  # u = [v_e, w_e], shape (B, T, 2)
-    critic_weights: FloatArray  # Wc, shape (B, T, L); L = 0 for controllers without
+    critic_weights: FloatArray  # Wc, shape (B, T, L); L = 0 without, or where none were wanted
     actor_weights: FloatArray  # Wa, shape (B, T, L)
     bellman_error: FloatArray  # delta at the state, shape (B, T); NaN for controllers without
 
@@ -29,9 +29,10 @@ class Trajectories:
 class TrajectoryRecorder:
     """Records the course of runs, block by block."""
 
-    def __init__(self, runs: int, steps: int, period: float) -> None:
+    def __init__(self, runs: int, steps: int, period: float, weights: bool) -> None:
         """Expect so many runs of so many control steps, a period [s] apart."""
         self._runs, self._steps, self._period = runs, steps, period
+        self._columns = slice(None if weights else 0)  # of the weights
         self._arrays: dict[str, FloatArray] = {}
 
     def note(self, first_run: int, step: int, output: ControlOutput, pose: FloatArray) -> None:
@@ -43,8 +44,8 @@ class TrajectoryRecorder:
             "arc_length": output.arc_length,
             "command": output.command,
             "modified_input": output.modified_input,
-            "critic_weights": weights.critic,
-            "actor_weights": weights.actor,
+            "critic_weights": weights.critic[:, self._columns],
+            "actor_weights": weights.actor[:, self._columns],
             "bellman_error": getattr(output, "bellman_error", unknown),
         }
         runs = slice(first_run, first_run + len(pose))
