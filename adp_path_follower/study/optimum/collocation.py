@@ -230,7 +230,7 @@ class _Mesh:
         state = casadi.MX.sym("state", 4, count + 1)
         wheels = casadi.MX.sym("wheels", 2, count + 1)
         start = casadi.MX.sym("start", 4)
-        expressions = problem.expressions()
+        expressions = problem.expressions
         rate, cost = expressions.map(count)(state[:, 1:], wheels[:, 1:])
         defects, total = [state[:, 0] - start], 0.0
         for index, step in enumerate(steps):

@@ -6,11 +6,13 @@ ramp bounds. A robot with a delay stands still until its first command acts.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.actuation import limited_command
@@ -116,6 +118,7 @@ class Problem:
             squares = np.square(self.reference.profile.speed(knots)) + np.zeros(len(knots))
             self._profile = casadi.interpolant("profile", "bspline", [knots], squares)
 
+    @functools.cached_property
     def expressions(self) -> Any:
         """Return a CasADi function (state, wheels' [v, w]) -> (state', running cost)."""
         state, wheels = casadi.MX.sym("state", 4), casadi.MX.sym("wheels", 2)
@@ -179,19 +182,19 @@ class Problem:
 
     def standing(self, start: FloatArray) -> Motion:
         """Return the motion from s, y, theta, s_p, shape (4,), until the first command acts."""
-        time = np.linspace(0.0, self.robot.delay, 1 + math.ceil(self.robot.delay / _STEP))
-        rates = self.expressions()
-        states, total = [start], 0.0
-        for step in np.diff(time):
-            slopes: list[FloatArray] = [np.zeros(5)]
-            for share in (0.0, 0.5, 0.5, 1.0):
-                found = rates(states[-1] + share * step * slopes[-1][:4], np.zeros(2))
-                slopes.append(np.vstack([np.array(item) for item in found]).ravel())
-            mean = np.array([1.0, 2.0, 2.0, 1.0]) @ np.array(slopes[1:]) / 6.0
-            states.append(states[-1] + step * mean[:4])
-            total += step * mean[4]
-        state = np.array(states)
-        return Motion(total, time, state, -self.feedforward(state[:, 3]))
+        delay = self.robot.delay
+        time = np.linspace(0.0, delay, 1 + math.ceil(delay / _STEP))
+        if not delay:
+            return Motion(0.0, time, start[None], -self.feedforward(start[None, 3]))
+
+        def rates(_: float, values: FloatArray) -> FloatArray:
+            rate, cost = self.expressions(values[:4], np.zeros(2))
+            return np.append(np.array(rate).ravel(), float(cost))
+
+        start_and_cost = np.append(start, 0.0)
+        found = solve_ivp(rates, (0.0, delay), start_and_cost, t_eval=time, rtol=1e-9, atol=1e-9)
+        state = found.y[:4].T
+        return Motion(float(found.y[4, -1]), time, state, -self.feedforward(state[:, 3]))
 
     def guesses(self, start: FloatArray, time: FloatArray) -> list[Motion]:
         """Return Riccati's motion, a fast and a slow decay; facing backwards, for each turn."""
