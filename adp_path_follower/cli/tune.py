@@ -3,12 +3,16 @@
 import dataclasses
 import time
 from pathlib import Path as FilePath
+from typing import TYPE_CHECKING
 
 import click
 
 from adp_path_follower.cli import options
 from adp_path_follower.cli.sweep import at_work, in_words, needed, say_how_long, tell
 from adp_path_follower.extras import require
+
+if TYPE_CHECKING:  # Dask and Optuna are loaded when there is something to run
+    from adp_path_follower.study.sweeps.request.request import Tuning
 
 
 @click.command()
@@ -64,10 +68,6 @@ def tune(
     """
     require("adp tune", "sweep")
     from adp_path_follower.study.sweeps.request.request import read_tuning, tuning_of_options
-    from adp_path_follower.study.sweeps.results import results
-    from adp_path_follower.study.sweeps.study import open_study, tried
-    from adp_path_follower.study.sweeps.study import tune as run_tuning
-    from adp_path_follower.study.sweeps.workers.folder import OutputFolder
 
     if file is None:
         asked = tuning_of_options(params, assignments, vary, objectives)
@@ -87,7 +87,24 @@ def tune(
         before = [asked.conditions.settings]
         say_how_long(asked.conditions, before, count, at_once, scheduler, workers)
         return
-    begun, trials, directory = time.monotonic(), asked.search.trials, needed(directory)
+    _search(asked, title, needed(directory), storage, scheduler, workers)
+
+
+def _search(
+    asked: "Tuning",
+    title: str,
+    directory: FilePath,
+    storage: str | None,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    """Try what is left of a search, and tell and write what was found."""
+    from adp_path_follower.study.sweeps.results import results
+    from adp_path_follower.study.sweeps.study import open_study, tried
+    from adp_path_follower.study.sweeps.study import tune as run_tuning
+    from adp_path_follower.study.sweeps.workers.folder import OutputFolder
+
+    begun, trials = time.monotonic(), asked.search.trials
     with OutputFolder(directory, "tune", asked.description()):
         place = storage or f"sqlite:///{(directory / 'study.db').absolute()}"
         study = open_study(asked, place, shared=storage is not None)

@@ -226,36 +226,13 @@ def _watch(
 
     Raises AdpError if one of the others ends, or if nothing happens any more.
     """
-    import rclpy  # here, so that `adp` works without ROS
-    from geometry_msgs.msg import PoseStamped, Vector3Stamped
-    from rclpy.qos import qos_profile_sensor_data as newest
-    from rclpy.signals import SignalHandlerOptions
-
-    target, seen_at = np.zeros(3), time.monotonic()
-    start: int | None = None
-    progress: Progress | None = None
-
-    def take_target(message: Any) -> None:
-        nonlocal target
-        p, q = message.pose.position, message.pose.orientation
-        target = np.array([p.x, p.y, yaw_of_quaternion(q.x, q.y, q.z, q.w)])
-
-    def take_error(message: Any) -> None:
-        nonlocal start, progress, seen_at
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        start = stamp if start is None else start
-        error = np.array([message.vector.x, message.vector.y, message.vector.z])
-        progress, seen_at = Progress((stamp - start) * 1e-9, error, target), time.monotonic()
-
-    # rclpy reads both when it is initialised.
-    os.environ |= {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("monitor")
-    node.create_subscription(Vector3Stamped, "path_follower/tracking_error", take_error, newest)
-    node.create_subscription(PoseStamped, "path_follower/target", take_target, newest)
-    try:
+    seen: Progress | None = None
+    seen_at = time.monotonic()
+    with _listening(domain) as heard:
         while simulator.process.poll() is None:
-            rclpy.spin_once(node, timeout_sec=0.05)
+            progress = heard()
+            if progress is not seen:
+                seen, seen_at = progress, time.monotonic()
             report(progress)
             quiet = time.monotonic() - seen_at
             # At the goal, lock-step would wait for commands that never come.
@@ -267,8 +244,46 @@ def _watch(
                 raise AdpError(
                     f"the run stands still; the nodes' logs are in {simulator.log.parent}"
                 )
+    if simulator.process.returncode != 0:
+        raise AdpError(f"the simulator failed: {simulator.last_line()}")
+
+
+@contextlib.contextmanager
+def _listening(domain: int) -> Iterator[Callable[[], Progress | None]]:
+    """Yield what listens for a moment and returns the newest progress of the run, if any."""
+    import rclpy  # here, so that `adp` works without ROS
+    from geometry_msgs.msg import PoseStamped, Vector3Stamped
+    from rclpy.qos import qos_profile_sensor_data as newest
+    from rclpy.signals import SignalHandlerOptions
+
+    target = np.zeros(3)
+    start: int | None = None
+    progress: Progress | None = None
+
+    def take_target(message: Any) -> None:
+        nonlocal target
+        p, q = message.pose.position, message.pose.orientation
+        target = np.array([p.x, p.y, yaw_of_quaternion(q.x, q.y, q.z, q.w)])
+
+    def take_error(message: Any) -> None:
+        nonlocal start, progress
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        start = stamp if start is None else start
+        error = np.array([message.vector.x, message.vector.y, message.vector.z])
+        progress = Progress((stamp - start) * 1e-9, error, target)
+
+    def heard() -> Progress | None:
+        rclpy.spin_once(node, timeout_sec=0.05)
+        return progress
+
+    # rclpy reads both when it is initialised.
+    os.environ |= {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("monitor")
+    node.create_subscription(Vector3Stamped, "path_follower/tracking_error", take_error, newest)
+    node.create_subscription(PoseStamped, "path_follower/target", take_target, newest)
+    try:
+        yield heard
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    if simulator.process.returncode != 0:
-        raise AdpError(f"the simulator failed: {simulator.last_line()}")
