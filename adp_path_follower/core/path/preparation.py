@@ -22,10 +22,8 @@ from adp_path_follower.core.path.route import Route, Segment
 from adp_path_follower.core.path.smoothing import Interpolation, bends, is_fair, smoothed
 from adp_path_follower.core.settings.groups import PathSettings
 
-_DENSE, _MOVED = (
-    0.25,
-    0.02,
-)  # shares of the tolerance: poses this near are averaged, and move so far
+_DENSE = 0.25  # of the tolerance: poses that are nearer are averaged, ...
+_MOVED = 0.02  # ... if that moves them by no more than this share of it
 _CUSP = math.cos(math.radians(135.0))  # of the turn from which on the motion is cut
 _SHORT = 1.5  # times the tolerance: a chord that may hide the tip of a cusp
 _DECIDED = 0.5  # cosine between orientation and motion from which on it says forwards, or backwards
