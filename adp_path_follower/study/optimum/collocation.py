@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.interpolate import BarycentricInterpolator, KroghInterpolator
 
 from adp_path_follower.core.geometry import FloatArray
@@ -218,49 +219,52 @@ def _prolonged(breaks: tuple[float, ...]) -> tuple[float, ...]:
 
 
 class _Mesh:
-    """The transcribed problem on one mesh; the start is a parameter."""
+    """The transcribed problem on one mesh."""
 
     def __init__(self, problem: Problem, times: tuple[float, ...]) -> None:
         breaks = np.array(times)
         intervals, steps = len(breaks) - 1, np.diff(breaks)
         points = np.array(casadi.collocation_points(_DEGREE, "radau"))
-        derivative, _, quadrature = casadi.collocation_coeff(points.tolist())
+        quadrature = np.array(casadi.collocation_coeff(points.tolist())[2]).ravel()
         self.time = np.append(0.0, (breaks[:-1, None] + steps[:, None] * points).ravel())
         count = intervals * _DEGREE
-        state = casadi.MX.sym("state", 4, count + 1)
-        wheels = casadi.MX.sym("wheels", 2, count + 1)
-        start = casadi.MX.sym("start", 4)
-        expressions = problem.expressions
-        rate, cost = expressions.map(count)(state[:, 1:], wheels[:, 1:])
-        defects, total = [state[:, 0] - start], 0.0
-        for index, step in enumerate(steps):
-            first, last = index * _DEGREE, (index + 1) * _DEGREE
-            slope = state[:, first : last + 1] @ derivative
-            defects.append(casadi.vec(slope - step * rate[:, first:last]))
-            total += step * (cost[:, first:last] @ quadrature)
-        commands = _commands(problem, wheels, steps, np.append(0.0, points))
-        exact, free = np.zeros(4 * (count + 1)), np.full(4 * (count + 1), math.inf)
+        values = casadi.MX.sym("values", 6, count + 1)  # state and wheels of every point
+        here, unknown = (values[:4, 1:], values[4:, 1:]), casadi.vec(values)
+        lengths = casadi.diag(np.repeat(steps, _DEGREE))
+        rate, cost = problem.expressions.map(count)(*here)
+        # Left to itself, CasADi finds the constraints' derivatives ten times as slowly.
+        slope = problem.rate_slope.map(count)(*here) @ casadi.kron(lengths, casadi.DM.eye(6))
+        blocks = casadi.diagcat(
+            casadi.Sparsity(0, 6), *[problem.rate_slope.sparsity_out(0)] * count
+        )
+        constraints = _constraints(problem, steps, np.append(0.0, points))
+        linear = casadi.DM(sparse.vstack([rows for rows, _, _ in constraints], "csc"))
+        others = linear.shape[0] - 4 * count  # without the dynamics
+        moved = casadi.vertcat(casadi.vec(rate @ lengths), casadi.MX(others, 1))
+        by_values = casadi.vertcat(
+            casadi.MX(blocks, slope.nz[:]), casadi.MX(others, unknown.shape[0])
+        )
+        (lower, upper), free = problem.limits(), np.full((count + 1, 4), math.inf)
         # The first velocity is free as far as rates allow; without any it counts nowhere.
         bounded = np.isfinite(problem.rates()[1]) | (problem.lags > 0.0)
         lowest, highest = np.where(bounded & (problem.lags == 0.0), problem.limits_at_rest(), 0.0)
-        lower, upper = problem.limits()
         self._free_first = np.flatnonzero(~bounded)
-        self._bounds: dict[str, Any] = {
-            "lbx": np.concatenate([-free, lowest, np.tile(lower, count)]),
-            "ubx": np.concatenate([free, highest, np.tile(upper, count)]),
-            "lbg": np.concatenate([exact, *(low for _, low, _ in commands)]),
-            "ubg": np.concatenate([exact, *(high for _, _, high in commands)]),
+        self._lower = np.hstack([-free, np.vstack([lowest, np.tile(lower, (count, 1))])])
+        self._upper = np.hstack([free, np.vstack([highest, np.tile(upper, (count, 1))])])
+        self._bounds = {
+            "lbg": np.concatenate([low for _, low, _ in constraints]),
+            "ubg": np.concatenate([high for _, _, high in constraints]),
         }
+        defects = linear @ unknown - moved
+        jacobian = casadi.Function(
+            "jacobian", [unknown, casadi.MX(0, 1)], [defects, linear - by_values]
+        )
         self._solver = casadi.nlpsol(
             "optimum",
             "ipopt",
+            {"x": unknown, "f": cost @ np.kron(steps, quadrature), "g": defects},
             {
-                "x": casadi.vertcat(casadi.vec(state), casadi.vec(wheels)),
-                "p": start,
-                "f": total,
-                "g": casadi.vertcat(*defects, *(item.T for item, _, _ in commands)),
-            },
-            {
+                "jac_g": jacobian,
                 "print_time": False,
                 "ipopt.print_level": 0,
                 "ipopt.sb": "yes",
@@ -268,20 +272,20 @@ class _Mesh:
                 "ipopt.max_iter": 500,
             },
         )
-        self._expressions, self._breaks, self._points = expressions, breaks, points
+        self._expressions, self._breaks, self._points = problem.expressions, breaks, points
         self._problem = problem
 
     def solve(self, guess: Motion) -> Motion | None:
         """Return the optimal motion from where a guess starts; None if none is found."""
-        start = guess.state[0]
-        values = np.append(guess.state.ravel(), self._wheels(guess).ravel())
-        result = self._solver(x0=values, p=start, **self._bounds)
+        lower, upper = self._lower.copy(), self._upper.copy()
+        lower[0, :4] = upper[0, :4] = guess.state[0]
+        values = np.hstack([guess.state, self._wheels(guess)])
+        result = self._solver(
+            x0=values.ravel(), lbx=lower.ravel(), ubx=upper.ravel(), **self._bounds
+        )
         if not self._solver.stats()["success"]:
             return None
-        found = np.array(result["x"]).ravel()
-        state = found[: guess.state.size].reshape(-1, 4)
-        state[0] = start  # as it is, without the solver's rounding
-        wheels = found[guess.state.size :].reshape(-1, 2)
+        state, wheels = np.hsplit(np.array(result["x"]).reshape(-1, 6), [4])
         # No collocation point lies at the start: the first interval's polynomial gives its command.
         first = BarycentricInterpolator(self._points, wheels[1 : _DEGREE + 1])(0.0)
         wheels[0, self._free_first] = first[self._free_first]
@@ -323,29 +327,37 @@ class _Mesh:
         return np.asarray(np.abs(missed).max(axis=(0, 2)))
 
 
-def _commands(
-    problem: Problem, wheels: Any, steps: FloatArray, nodes: FloatArray
+def _constraints(
+    problem: Problem, steps: FloatArray, nodes: FloatArray
 ) -> list[tuple[Any, FloatArray, FloatArray]]:
-    """Return the constraints on v and w of the command, v + lag v' of the wheels: what, low, high.
+    """Return the linear part of the constraints on state and wheels of all points: rows, low, high.
 
-    `wheels` are their velocities at the nodes of all intervals; limits of velocity hold at the
-    collocation points, those of acceleration there and where intervals join.
+    First the dynamics: the slope over each interval, less step and rate. Then the command, v + lag
+    v' of the wheels: limits of velocity hold at the collocation points, those of acceleration there
+    and where intervals join. The nodes are those of all intervals, shape (6,).
     """
-    slope_at = KroghInterpolator(nodes, np.eye(len(nodes))).derivative(nodes).T
+    intervals, slope_at = len(steps), KroghInterpolator(nodes, np.eye(len(nodes))).derivative(nodes)
+    points = np.arange(intervals)[:, None] * _DEGREE + np.arange(_DEGREE + 1)
+    gather = sparse.csr_matrix((np.ones(points.size), (np.arange(points.size), points.ravel())))
+    each, per_second = sparse.eye(intervals), sparse.diags(1.0 / steps)
+    slopes, zeros = sparse.kron(each, slope_at[1:]) @ gather, np.zeros(4 * intervals * _DEGREE)
+    found = [(sparse.kron(slopes, np.eye(4, 6)), zeros, zeros)]
     (lower, upper), (slowest, fastest) = problem.limits(), problem.rates()
     lowest, highest = problem.limits_at_rest()
-    ones, found = np.ones(_DEGREE), []
-    for row in range(2):
-        before, least, most = 0.0, lowest[row], highest[row]
-        for index, step in enumerate(steps):
-            velocity = wheels[row, index * _DEGREE : (index + 1) * _DEGREE + 1]
-            command = velocity + problem.lags[row] / step * (velocity @ slope_at)
-            if problem.lags[row] > 0.0:
-                found.append((command[1:], lower[row] * ones, upper[row] * ones))
-            if math.isfinite(fastest[row]):
-                change = command @ slope_at[:, 1:] / step
-                found.append((change, slowest[row] * ones, fastest[row] * ones))
-                if problem.lags[row] > 0.0:
-                    found.append((command[0] - before, np.array([least]), np.array([most])))
-            before, least, most = command[-1], 0.0, 0.0
+    ones = np.ones(intervals * _DEGREE)
+    for row, lag in enumerate(problem.lags):
+        column = np.eye(6)[4 + row]
+        command = gather + lag * sparse.kron(per_second, slope_at) @ gather
+        if lag > 0.0:
+            held = sparse.kron(each, np.eye(_DEGREE + 1)[1:]) @ command
+            found.append((sparse.kron(held, column), lower[row] * ones, upper[row] * ones))
+        if math.isfinite(fastest[row]):
+            change = sparse.kron(per_second, slope_at[1:]) @ command
+            found.append((sparse.kron(change, column), slowest[row] * ones, fastest[row] * ones))
+            if lag > 0.0:
+                first, last = command[:: _DEGREE + 1], command[_DEGREE :: _DEGREE + 1]
+                joint = first - sparse.vstack([0.0 * last[:1], last[:-1]])
+                least, most = np.zeros((2, intervals))
+                least[0], most[0] = lowest[row], highest[row]
+                found.append((sparse.kron(joint, column), least, most))
     return found

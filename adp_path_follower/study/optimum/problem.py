@@ -122,10 +122,7 @@ class Problem:
     def expressions(self) -> Any:
         """Return a CasADi function (state, wheels' [v, w]) -> (state', running cost)."""
         state, wheels = casadi.MX.sym("state", 4), casadi.MX.sym("wheels", 2)
-        linear, angular = self.robot.motion(wheels[0], wheels[1])
-        s, y, theta, arc_length = casadi.vertsplit(state)
-        target, curvature = self.settings.target, self._curvature(arc_length)
-        v_des = target.desired_speed
+        arc_length, v_des = state[3], casadi.MX(self.settings.target.desired_speed)
         if self.reference.varies:
             squared = casadi.fmax(self._profile(arc_length), _LEAST_SPEED**2)
             launched = self.reference.start
@@ -135,7 +132,16 @@ class Problem:
                 reached = least + self.reference.rise * run
                 squared = -_greater(-squared, -reached, self.reference.rise * _ROUND)
             v_des = casadi.sqrt(squared)
-        speed = v_des * casadi.cos(theta) + target.target_gain * s
+        found = self._along(state, wheels, self._curvature(arc_length), v_des)
+        return casadi.Function("problem", [state, wheels], found)
+
+    @functools.cached_property
+    def _along(self) -> Any:
+        """Return the function (state, wheels, curvature, v_des) -> (state', running cost)."""
+        state, wheels, curvature, v_des = (casadi.SX.sym("x", size) for size in (4, 2, 1, 1))
+        linear, angular = self.robot.motion(wheels[0], wheels[1])
+        s, y, theta, _ = casadi.vertsplit(state)
+        speed = v_des * casadi.cos(theta) + self.settings.target.target_gain * s
         rate = casadi.vertcat(
             speed * (curvature * y - 1.0) + linear * casadi.cos(theta),
             linear * casadi.sin(theta) - curvature * s * speed,
@@ -147,7 +153,15 @@ class Problem:
         wrapped = theta - 2.0 * math.pi * casadi.floor((theta + math.pi) / (2.0 * math.pi))
         error = casadi.vertcat(s, y, wrapped)
         cost = casadi.bilin(self.state_cost, error, error) + casadi.bilin(self.input_cost, u, u)
-        return casadi.Function("problem", [state, wheels], [rate, cost])
+        return casadi.Function("along", [state, wheels, curvature, v_des], [rate, cost])
+
+    @functools.cached_property
+    def rate_slope(self) -> Any:
+        """Return a CasADi function (state, wheels' [v, w]) -> derivatives of state' by them."""
+        state, wheels = casadi.MX.sym("state", 4), casadi.MX.sym("wheels", 2)
+        rate, _ = self.expressions(state, wheels)
+        slope = casadi.horzcat(casadi.jacobian(rate, state), casadi.jacobian(rate, wheels))
+        return casadi.Function("rate_slope", [state, wheels], [slope])
 
     def feedforward(self, arc_length: FloatArray) -> FloatArray:
         """Return [v_ss, w_ss] at arc lengths (T,) [m], shape (T, 2)."""
