@@ -17,12 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, components
 
 _TAPS = np.arange(4)
 # Cubic B-spline: the rows are the powers 1, t, t^2, t^3 of the place between two nodes, the columns
-# the four coefficients around it.
+# the four coefficients around it, for the value and then for its slope.
 _SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
+_SLOPE = np.array([[-3, 0, 3, 0], [6, -12, 6, 0], [-3, 9, -9, 3], [0, 0, 0, 0]]) / 6.0
+_BOTH = np.hstack([_SPLINE, _SLOPE])
 
 
 @dataclass(frozen=True)
@@ -35,24 +37,23 @@ class GridAxes:
 
     @property
     def nodes(self) -> FloatArray:
-        """Return s, y and theta of each node, shape (3, *shape)."""
+        """Return s, y and theta of each node, shape (*shape, 3)."""
         extent = math.asinh(self.reach / self.bend)
         lengths = [self.bend * np.sinh(extent * np.linspace(-1.0, 1.0, n)) for n in self.shape[:2]]
         turns = -math.pi + 2.0 * math.pi / self.shape[2] * np.arange(self.shape[2])
-        return np.stack(np.meshgrid(*lengths, turns, indexing="ij"))
+        return np.stack(np.meshgrid(*lengths, turns, indexing="ij"), axis=-1)
 
     def position(self, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return places [nodes] of errors (3, ...) on the axes, and their derivatives, (3, ...)."""
-        spans = 0.5 * (np.array(self.shape[:2]) - 1.0) / math.asinh(self.reach / self.bend)
+        """Return places [nodes] of errors (..., 3) on the axes, and their derivatives, (..., 3)."""
+        middle = 0.5 * (np.array(self.shape[:2]) - 1.0)
+        spans = middle / math.asinh(self.reach / self.bend)
         turns = self.shape[2] / (2.0 * math.pi)
         place, slope = np.empty(error.shape), np.empty(error.shape)
-        for axis in range(2):
-            inside = np.clip(error[axis], -self.reach, self.reach)
-            place[axis] = spans[axis] * np.arcsinh(inside / self.bend)
-            place[axis] += 0.5 * (self.shape[axis] - 1.0)
-            slope[axis] = spans[axis] / np.hypot(inside, self.bend) * (inside == error[axis])
-        place[2] = np.mod((error[2] + math.pi) * turns, self.shape[2])
-        slope[2] = turns
+        inside = np.minimum(np.maximum(error[..., :2], -self.reach), self.reach)
+        place[..., :2] = middle + spans * np.arcsinh(inside / self.bend)
+        slope[..., :2] = spans / np.hypot(inside, self.bend) * (inside == error[..., :2])
+        place[..., 2] = np.mod((error[..., 2] + math.pi) * turns, self.shape[2])
+        slope[..., 2] = turns
         return place, slope
 
 
@@ -66,11 +67,11 @@ class PolarAxes:
 
     @property
     def nodes(self) -> FloatArray:
-        """Return s, y and theta of each node, theta = 0, shape (3, *shape)."""
+        """Return s, y and theta of each node, theta = 0, shape (*shape, 3)."""
         distance = np.geomspace(self.start, self.end, self.shape[0])[:, None]
         bearing = -math.pi + 2.0 * math.pi / self.shape[1] * np.arange(self.shape[1])
         s, y = distance * np.cos(bearing), distance * np.sin(bearing)
-        return np.stack([s, y, np.zeros(self.shape)])
+        return np.stack([s, y, np.zeros(self.shape)], axis=-1)
 
     @property
     def spans(self) -> tuple[float, float]:
@@ -79,16 +80,12 @@ class PolarAxes:
         return (count - 1.0) / math.log(self.end / self.start), around / (2.0 * math.pi)
 
     def position(self, error: FloatArray) -> FloatArray:
-        """Return places [nodes] of errors (2 or 3, ...) on the axes, (2, ...)."""
-        distance = np.clip(np.hypot(error[0], error[1]), self.start, self.end)
+        """Return places [nodes] of errors (..., 2 or 3) on the axes, (..., 2)."""
+        s, y = error[..., 0], error[..., 1]
         outwards, around = self.spans
-        bearing = np.arctan2(error[1], error[0])
-        return np.stack(
-            [
-                outwards * np.log(distance / self.start),
-                np.mod((bearing + math.pi) * around, self.shape[1]),
-            ]
-        )
+        distance = np.minimum(np.maximum(np.hypot(s, y), self.start), self.end)
+        turned = np.mod((np.arctan2(y, s) + math.pi) * around, self.shape[1])
+        return components(outwards * np.log(distance / self.start), turned)
 
 
 @dataclass(frozen=True)
@@ -102,20 +99,20 @@ class DistantValue:
 
     def slope(self, place: FloatArray, curvature: FloatArray) -> FloatArray:
         """Return W_s and W_y at places [s, y] (..., 2), for kappa [1/m] (...), shape (..., 2)."""
-        left = np.where(np.asarray(curvature) < 0.0, -1.0, 1.0)
+        left = np.where(curvature < 0.0, -1.0, 1.0)
         s, y = place[..., 0], place[..., 1] * left
         layer, share = _layer(self.curvatures, np.abs(curvature))
-        position = self.axes.position(np.stack([s, y]))
+        position = self.axes.position(components(s, y))
         node, weights = _taps(position, np.array(self.axes.shape) - (2, 1))
-        outer, inner = node[..., None] + _TAPS
+        outer, inner = np.moveaxis(node[..., None] + _TAPS, -2, 0)
         at = outer[..., :, None], inner[..., None, :]
         block = _between(self.coefficients, layer, share, at)
-        found = np.swapaxes(weights[0], -1, -2) @ block @ weights[1]
+        found = weights[..., 0, :, :] @ block @ np.swapaxes(weights[..., 1, :, :], -1, -2)
         ratio, (outwards, around) = found[..., 0, 0], self.axes.spans
         by_distance = ratio + outwards * found[..., 1, 0]
         by_bearing = around * found[..., 0, 1]
         by_s, by_y = s * by_distance - y * by_bearing, y * by_distance + s * by_bearing
-        return 2.0 * ratio[..., None] * np.stack([by_s, by_y * left], axis=-1)
+        return 2.0 * ratio[..., None] * components(by_s, by_y * left)
 
 
 @dataclass(frozen=True)
@@ -137,8 +134,8 @@ class ValueGrid:
 
         theta is from -pi to pi; beyond the layers of kappa [1/m] (...), the last one counts.
         """
-        left = np.where(np.asarray(curvature) < 0.0, -1.0, 1.0)
-        mirror = np.stack([np.ones_like(left), left, left], axis=-1)
+        left = np.where(curvature < 0.0, -1.0, 1.0)
+        mirror = components(np.ones_like(left), left, left)
         layer, share = _layer(self.curvatures, np.abs(curvature))
         mirrored = error * mirror
         ratio, ratio_slope = self._ratio(mirrored, layer, share)
@@ -152,19 +149,16 @@ class ValueGrid:
         self, error: FloatArray, layer: np.ndarray, share: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return rho, shape (...), and its gradient by s, y and theta, shape (..., 3)."""
-        place, stretch = self.axes.position(np.moveaxis(error, -1, 0))
+        place, stretch = self.axes.position(error)
         node, weights = _taps(place, np.array(self.axes.shape) - (2, 2, 1))
-        for axis in range(3):
-            weights[axis][..., 1] *= stretch[axis][..., None]
-        rows = [node[axis][..., None] + _TAPS for axis in range(3)]
+        weights[..., 1, :] *= stretch[..., None]
+        rows = np.moveaxis(node[..., None] + _TAPS, -2, 0)
         at = rows[0][..., :, None, None], rows[1][..., None, :, None], rows[2][..., None, None, :]
         block = _between(self.coefficients, layer, share, at)
-        by_theta = block @ weights[2][..., None, :, :]  # (..., 4, 4, 2): value, slope
-        by_y = np.swapaxes(weights[1], -1, -2)[..., None, :, :] @ by_theta  # (..., 4, 2, 2)
-        first = np.einsum("...ai,...ajk->...ijk", weights[0], by_y)
-        return first[..., 0, 0, 0], np.stack(
-            [first[..., 1, 0, 0], first[..., 0, 1, 0], first[..., 0, 0, 1]], axis=-1
-        )
+        by_theta = block @ np.swapaxes(weights[..., None, 2, :, :], -1, -2)  # (..., 4, 4, 2)
+        by_y = weights[..., None, 1, :, :] @ by_theta  # (..., 4, 2, 2): value, slope
+        found = weights[..., 0, :, :] @ by_y.reshape(*by_y.shape[:-2], 4)
+        return found[..., 0, 0], components(found[..., 1, 0], found[..., 0, 2], found[..., 0, 1])
 
 
 def _layer(curvatures: FloatArray, curvature: FloatArray) -> tuple[np.ndarray, FloatArray]:
@@ -184,18 +178,17 @@ def _between(
     return np.asarray(below + share[around] * (above - below))
 
 
-def _taps(place: FloatArray, last: np.ndarray) -> tuple[np.ndarray, list[FloatArray]]:
-    """Return the first of four coefficients about places (axes, ...) [nodes], and the weights.
+def _taps(place: FloatArray, last: np.ndarray) -> tuple[np.ndarray, FloatArray]:
+    """Return the first of four coefficients about places (..., axes) [nodes], and the weights.
 
-    The weights of each axis (..., 4, 2) are those of value and slope; `last` (axes,) is the first
-    of the last two nodes.
+    The weights of each axis (..., axes, 2, 4) are those of value and slope; `last` (axes,) is the
+    first of the last two nodes.
     """
     with np.errstate(invalid="ignore"):
-        node = np.clip(place.astype(np.intp), 0, last.reshape(-1, *(1,) * (place.ndim - 1)))
+        node = np.minimum(np.maximum(place.astype(np.intp), 0), last)
     t = place - node
-    powers = np.stack([np.ones_like(t), t, t * t, t**3], axis=-1)
-    rates = np.stack([np.zeros_like(t), np.ones_like(t), 2.0 * t, 3.0 * t * t], axis=-1)
-    return node, list(np.stack([powers @ _SPLINE, rates @ _SPLINE], axis=-1))
+    powers = components(np.ones_like(t), t, t * t, t * t * t)
+    return node, (powers @ _BOTH).reshape(*t.shape, 2, 4)
 
 
 def half_angle_form(error: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -203,9 +196,9 @@ def half_angle_form(error: FloatArray, matrix: FloatArray) -> tuple[FloatArray, 
     s, y, theta = error[..., 0], error[..., 1], error[..., 2]
     cos, sin = np.cos(0.5 * theta), np.sin(0.5 * theta)
     a, b = s * cos + y * sin, y * cos - s * sin
-    q = np.stack([a, b, theta], axis=-1)
+    q = components(a, b, theta)
     pulled = np.matmul(matrix, q[..., None])[..., 0]
     by_a, by_b, by_theta = (2.0 * pulled[..., axis] for axis in range(3))
-    slope = [by_a * cos - by_b * sin, by_a * sin + by_b * cos]
-    slope.append(0.5 * (by_a * b - by_b * a) + by_theta)
-    return (q * pulled).sum(-1), np.stack(slope, axis=-1)
+    turned = 0.5 * (by_a * b - by_b * a) + by_theta
+    slope = components(by_a * cos - by_b * sin, by_a * sin + by_b * cos, turned)
+    return (q * pulled).sum(-1), slope

@@ -148,7 +148,7 @@ class _Nodes:
         self._state_cost = problem.cost.state_cost_matrix()
         self._input_cost = problem.cost.input_cost_matrix()
         forward = np.array([self._speed, curvature * self._speed])
-        self._nodes = np.moveaxis(nodes, 0, -1)
+        self._nodes = nodes
         self._distance = np.hypot(self._nodes[..., 0], self._nodes[..., 1])
         self._stride = _STRIDE * max(1.0, problem.length_scale)
         self._step = self._steps(self._distance, max(limits.upper[0], -limits.lower[0]))
@@ -220,7 +220,7 @@ class _Layer(_Nodes):
                 kept = [self._descending(ratio, coefficients), *kept[-1:], *tried]
                 kept = [self._best(kept, coefficients)]
                 after, cost = self._moved(kept[-1])
-                place, base = self._axes.position(np.moveaxis(after, -1, 0))[0], self._form(after)
+                place, base = self._axes.position(after)[0], self._form(after)
             values = cost + base * _interpolated(coefficients, place) ** 2
             found = np.where(self._near, 1.0, np.sqrt(np.maximum(values, 0.0) / self._base))
             change = float(np.abs(found - ratio)[self._counted].mean())
@@ -231,7 +231,7 @@ class _Layer(_Nodes):
 
     def value(self, coefficients: FloatArray, error: FloatArray) -> FloatArray:
         """Return V of coefficients at errors (..., 3), shape (...)."""
-        place = self._axes.position(np.moveaxis(error, -1, 0))[0]
+        place = self._axes.position(error)[0]
         return np.asarray(self._form(error) * _interpolated(coefficients, place) ** 2)
 
     def _form(self, error: FloatArray) -> FloatArray:
@@ -255,10 +255,10 @@ class _Layer(_Nodes):
     def _descending(self, ratio: FloatArray, coefficients: FloatArray) -> FloatArray:
         """Return u = -1/2 R^-1 g^T V_e within the limits at the nodes, (..., 2)."""
         slope = self._base_slope * (ratio**2)[..., None]
-        stretch = self._axes.position(np.moveaxis(self._nodes, -1, 0))[1]
+        stretch = self._axes.position(self._nodes)[1]
         for axis in range(3):
             by_node = _at_nodes(coefficients, axis)
-            slope[..., axis] += 2.0 * ratio * self._base * by_node * stretch[axis]
+            slope[..., axis] += 2.0 * ratio * self._base * by_node * stretch[..., axis]
         theta = self._nodes[..., 2]
         ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
         descent = np.stack([ahead, slope[..., 2]], axis=-1)
@@ -314,7 +314,7 @@ class _Distant(_Nodes):
         distance = np.hypot(after[..., 0], after[..., 1])
         inside = distance < self._axes.start
         cost[inside] += within(after[inside])
-        place = self._axes.position(np.moveaxis(after, -1, 0))
+        place = self._axes.position(after)
         return cost, place, np.where(inside, 0.0, distance)
 
     @staticmethod
@@ -325,6 +325,7 @@ class _Distant(_Nodes):
         from scipy.ndimage import map_coordinates
 
         around = np.concatenate([ratio, ratio[:, :1]], axis=1)
+        place = np.moveaxis(place, -1, 0)
         onwards = distance * map_coordinates(around, place, order=1, mode="nearest")
         return np.asarray(cost + onwards**2)
 
@@ -354,12 +355,12 @@ def _filtered(ratio: FloatArray) -> FloatArray:
 
 
 def _interpolated(coefficients: FloatArray, place: FloatArray) -> FloatArray:
-    """Return rho at places (3, ...) [nodes]."""
+    """Return rho at places (..., 3) [nodes]."""
     from scipy.ndimage import map_coordinates
 
-    return np.asarray(
-        map_coordinates(coefficients, place + 1.0, order=3, prefilter=False, mode="nearest")
-    )
+    place = np.moveaxis(place, -1, 0) + 1.0
+    found = map_coordinates(coefficients, place, order=3, prefilter=False, mode="nearest")
+    return np.asarray(found)
 
 
 def _at_nodes(coefficients: FloatArray, slope: int | None = None) -> FloatArray:
