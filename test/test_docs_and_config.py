@@ -24,8 +24,7 @@ from sim_unicycle.settings import SimulatorSettings
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 TOP = "adp_path_follower|sim_unicycle|bench|examples|test|docs|config|launch"
 GENERATED = ("bench/results/",)
-# An hour's drive is not driven again for a narrower picture of it.
-PICTURES = sorted({*(ROOT / "docs" / "images").glob("*.png")} - {ROOT / "docs/images/hour.png"})
+PICTURES = sorted((ROOT / "docs" / "images").glob("*.png"))
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 
 
@@ -186,6 +185,19 @@ def test_pages_that_code_and_configuration_name_exist():
         for file in [*(ROOT / top).rglob("*.py"), *(ROOT / top).rglob("*.yaml")]:
             for page in re.findall(r"docs/\w+\.md", file.read_text(encoding="utf-8")):
                 assert (ROOT / page).exists(), f"{file.relative_to(ROOT)}: {page}"
+
+
+def test_the_bench_asks_the_tests_peer_for_what_it_has():
+    """Such drives take too long to be tests, so a name that has gone would only show there."""
+    peer = (ROOT / "test" / "support" / "live_nodes.py").read_text(encoding="utf-8")
+    asked = set()
+    for file in (ROOT / "bench").rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        if re.search(r"^from live_nodes import .*\bPeer\b", text, re.M):
+            asked |= set(re.findall(r"\bpeer\.(\w+)", text))
+    assert {"until", "call", "pause"} <= asked
+    for name in sorted(asked):
+        assert re.search(rf"def {name}\(self|self\.{name}(:.*)? = ", peer), name
 
 
 def test_the_table_of_faults_is_that_of_the_bench_and_its_tests_exist():

@@ -141,7 +141,7 @@ def from_last_motion(peer: Peer, inject: Callable[[Peer], None] | None = None) -
     peer.node.create_timer(0.02, lambda: peer.send_odometry((0.0, 0.1, 0.0)))
     if inject is not None:
         peer.until(moved, "motion")
-        peer.spin(0.5)
+        peer.pause(0.5)
         inject(peer)
     peer.until(lambda: stopped, "zero velocity")
     return stopped - last

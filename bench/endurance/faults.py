@@ -79,7 +79,7 @@ def injected(
     times = []
     for run in range(runs):
         drive.until_moving()
-        drive.peer.spin(0.3 + 0.0037 * run)  # at another moment of the period each time
+        drive.peer.pause(0.3 + 0.0037 * run)  # at another moment of the period each time
         begun = time.monotonic()
         inject()
         times.append(until_zero(drive.peer, drive.commands, begun))
@@ -140,7 +140,7 @@ def recoverable(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
 
         def back_on_the_path() -> None:
             feed({})
-            peer.spin(0.3)
+            peer.pause(0.3)
             peer.call(Trigger, "path_follower/resume")
 
         limits = {
@@ -155,7 +155,7 @@ def recoverable(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
 
         def back_in_the_frame() -> None:
             feed({})
-            peer.spin(0.2)
+            peer.pause(0.2)
             peer.send_path()
 
         yield (
@@ -208,7 +208,7 @@ def clocks(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
             for run in range(runs):
                 commands.clear()
                 peer.until(lambda: len(commands) > 20 and not is_zero(commands[-1]), "motion")
-                peer.spin(0.3 + 0.0037 * run)
+                peer.pause(0.3 + 0.0037 * run)
                 begun = time.monotonic()
                 inject()
                 times.append(until_zero(peer, commands, begun))
@@ -281,7 +281,7 @@ def processes(bench: Bench, runs: int) -> Iterator[tuple[str, list[float]]]:
             times = []
             for run in range(runs):
                 team.until_moving()
-                peer.spin(0.2 + 0.0037 * run)
+                peer.pause(0.2 + 0.0037 * run)
                 begun = time.monotonic()
                 os.kill(getattr(team, executable).process.pid, number)
                 peer.until(stopped, name)

@@ -198,7 +198,7 @@ class Hour:
 
     def spin(self, seconds: float) -> None:
         """Take messages for a simulated time; it goes on while the simulator's clock is faulty."""
-        self.peer.spin(seconds / self._factor)
+        self.peer.pause(seconds / self._factor)
 
     def set(self, node: str, values: dict[str, Any]) -> None:
         """Set parameters of a node as a set; count it if they are rejected."""
