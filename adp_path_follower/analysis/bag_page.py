@@ -237,7 +237,7 @@ def _learned_card(analysis: BagAnalysis) -> tuple[str, str, str]:
         return "learned", NOT_MEASURED, "the bag has no Bellman error while driving"
     late = time >= time[-1] - _LATE * (time[-1] - time[0])
     begun, ended = np.median(values[time <= time[0] + _EARLY]), np.median(values[late])
-    return "learned", f"{begun:.1e} → {ended:.1e}", "Bellman error, at first and at the end"
+    return "learned", f"{begun:.2g} → {ended:.2g}", "Bellman error, at first and at the end"
 
 
 def _halted(analysis: BagAnalysis) -> str:

@@ -139,7 +139,8 @@ def _compare_on(paths: dict[str, Path], directory: FilePath, **common: Any) -> l
         for problem in item.problems:
             click.echo(f"adp: {problem}", err=True)
         # After each path, so that what was found stays if a later one is interrupted.
-        _write(found, directory, directory if len(paths) == 1 else directory / f"path_{len(found)}")
+        figures = directory if len(paths) == 1 else directory / f"path_{len(found)}"
+        _write(found, common["settings"], directory, figures)
     return [problem for item in found for problem in item.problems]
 
 
@@ -203,7 +204,9 @@ def _ratio(value: float) -> str:
     return f"{value:9.4f}" if value < 100.0 else f"{'>100' if np.isfinite(value) else 'failed':>9}"
 
 
-def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> None:
+def _write(
+    found: list[Comparison], settings: Settings, directory: FilePath, figures: FilePath
+) -> None:
     """Write table and numbers of all paths so far, and the figures of the last one."""
     from adp_path_follower.study.comparison.figures import draw_comparison
 
@@ -215,10 +218,10 @@ def _write(found: list[Comparison], directory: FilePath, figures: FilePath) -> N
         )
         draw_comparison(found[-1], figures)
         if is_installed("report"):
-            _write_race(found[-1], figures / "race.html")
+            _write_race(found[-1], settings, figures / "race.html")
 
 
-def _write_race(found: Comparison, file: FilePath) -> None:
+def _write_race(found: Comparison, settings: Settings, file: FilePath) -> None:
     """Write the page on which all controllers start together."""
     from adp_path_follower.drawing.page import Table, write_runs_page
 
@@ -236,9 +239,8 @@ def _write_race(found: Comparison, file: FilePath) -> None:
     )
     runs = [item.lap for item in ranked]
     title = f"Race of {len(runs)} controllers on {found.path_name}"
-    write_runs_page(
-        file, title, about, "adp compare", runs, Table(("controller", *_COLUMNS), tuple(rows))
-    )
+    table = Table(("controller", *_COLUMNS), tuple(rows))
+    write_runs_page(file, title, about, "adp compare", settings, runs, table)
 
 
 def _numbers(found: Comparison) -> dict[str, Any]:

@@ -163,7 +163,7 @@ def _write_page(
     )
     about = "The virtual target begins at the same place for every run; θ is in radians."
     title = f"Simulated runs on {path_name}"
-    write_runs_page(file, title, about, "adp simulate", runs, Table(columns, rows))
+    write_runs_page(file, title, about, "adp simulate", settings, runs, Table(columns, rows))
     click.echo(outputs.page_address(file))
 
 

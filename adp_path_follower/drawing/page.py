@@ -12,6 +12,8 @@ from typing import Any
 
 from adp_path_follower import __version__
 from adp_path_follower.core.files import write_output
+from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.schema import build, flatten, yaml_text
 from adp_path_follower.drawing.charts import ShownRun
 from adp_path_follower.drawing.figure_style import ON_DARK, color
 from adp_path_follower.extras import require
@@ -63,7 +65,13 @@ def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) 
 
 
 def write_runs_page(
-    file: FilePath, title: str, about: str, maker: str, runs: Sequence[ShownRun], table: Table
+    file: FilePath,
+    title: str,
+    about: str,
+    maker: str,
+    settings: Settings,
+    runs: Sequence[ShownRun],
+    table: Table,
 ) -> None:
     """Write the page of runs that start together; raise AdpError if it cannot be written."""
     require("the page", "report")
@@ -85,7 +93,7 @@ def write_runs_page(
         "runs",
         page_data(runs),
         title=title,
-        about=about,
+        about=f"{about} {_named(settings)}",
         maker=maker,
         names=[(run.name, color(index)) for index, run in enumerate(runs)],
         captions=captions,
@@ -99,6 +107,14 @@ def _library() -> str:
     from plotly.offline import get_plotlyjs
 
     return _packed(get_plotlyjs())
+
+
+def _named(settings: Settings) -> str:
+    """Return which settings are not the defaults, by name."""
+    usual = flatten(build(Settings, {}))
+    others = {name: value for name, value in flatten(settings).items() if value != usual[name]}
+    named = ", ".join(f"{name} {yaml_text(value)}" for name, value in others.items())
+    return f"Settings: the defaults{' but ' * bool(others)}{named}."
 
 
 def _packed(text: str) -> str:

@@ -22,11 +22,13 @@ from adp_path_follower.drawing.figure_style import (
     COLORS,
     DISTANCE_SCALES,
     PATH_COLOR,
+    POINT_COLOR,
     color,
     is_dashed,
 )
 
 _GREY = "rgba(128,128,128,0.45)"
+_FEW = 8  # lines that stand out although they are behind the others
 _OPTIMUM = COLORS[1]
 _PANEL_HEIGHT = 190  # [px]
 _ROOM = 0.06  # between two panels, as a share of all
@@ -294,7 +296,7 @@ def _background(lines: Sequence[Line]) -> go.Scatter:
         x=_small(np.concatenate([part for line in lines for part in (line.time, gap)])),
         y=_small(np.concatenate([part for line in lines for part in (line.values, gap)])),
         mode="lines",
-        line={"color": _GREY, "width": 1},
+        line={"color": POINT_COLOR if len(lines) <= _FEW else _GREY, "width": 1},
         showlegend=False,
         hoverinfo="skip",
         meta="behind",  # page.js fits the axes to the others

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -24,7 +24,7 @@ from adp_path_follower.analysis.metrics import parse_requirement
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.drawing.charts import KINDS
+from adp_path_follower.drawing.charts import KINDS, SteeringMap
 from adp_path_follower.drawing.page import Table, write_runs_page
 from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import simulate
@@ -264,13 +264,26 @@ def test_zoom_in_one_figure_zooms_time_in_all_and_the_vertical_axes_follow(pages
 
 
 def test_the_first_screen_says_what_came_out(visits):
-    """The verdict, the chief numbers, and the policy before and after the first learning."""
+    """The verdict and the chief numbers."""
     visit = visits("one", "wide", "light")
     text = visit.page.inner_text("header")
     assert "value function of an optimal control problem" in text
     assert "of the path were driven" in text
     assert visit.page.locator(".cards li").count() == 6
     assert "mm" in visit.page.inner_text(".cards li:nth-child(2) .number")
+
+
+def test_the_first_screen_shows_track_and_policy_before_and_after(browser, tmp_path):
+    write_bag(tmp_path / "bag", learner_run())
+    analysis = analyse_bag(tmp_path / "bag", {}, 1, tmp_path / "trajectory.tum")
+    axis = np.linspace(-1.0, 1.0, 11)
+    steering = SteeringMap(axis, axis, np.subtract.outer(-axis, axis))
+    analysis = replace(analysis, charts=replace(analysis.charts, steering=(steering, steering)))
+    write_report([analysis], [], tmp_path / "page.html")
+    visit = open_page(browser, tmp_path / "page.html")
+    for figure in ("track", "policy_before", "policy_after"):
+        box = visit.page.locator(f"#figure-{figure}").bounding_box()
+        assert box["y"] + box["height"] < WIDTHS["wide"][1]
 
 
 def test_simulated_runs_start_together_and_their_table_sorts(browser, tmp_path):
@@ -288,8 +301,11 @@ def test_simulated_runs_start_together_and_their_table_sorts(browser, tmp_path):
         for name, cost in zip(names, result.cost.tolist(), strict=True)
     )
     file = tmp_path / "runs.html"
-    write_runs_page(file, "Two runs", "About.", "adp", runs, Table(("start", "J"), rows))
+    table = Table(("start", "J"), rows)
+    write_runs_page(file, "Two runs", "About.", "adp", settings, runs, table)
     visit = open_page(browser, file, "narrow")
+    named = 'Settings: the defaults but learning false, wide_region "none".'
+    assert visit.page.inner_text(".about") == f"About. {named}"
     assert (visit.said, visit.asked) == ([], [file.as_uri()])
     spent = visit.page.evaluate(
         "document.getElementById('figure-cost')._fullData.map((trace) => trace.y.at(-1))"

@@ -3,6 +3,7 @@
   window.open = () => null;  // no control of the page may send anything
   const nonce = document.currentScript.nonce;
   const narrow = window.matchMedia("(max-width: 600px)");
+  const wide = window.matchMedia("(min-width: 1100px)");
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
@@ -138,7 +139,11 @@
   const swatches = [...document.querySelectorAll(".swatch")].map((element) => [element, element.dataset.color]);
   const paintSwatches = () => swatches.forEach(([element, color]) => { element.style.background = shown(color); });
 
-  const heightOf = ({ key, layout }) => (key === "track" && narrow.matches ? 420 : layout.height);
+  const beside = ({ element }) => wide.matches && element.closest(".first")?.children.length > 2;
+  const heightOf = (figure) => {
+    if (beside(figure)) return 400;
+    return figure.key === "track" && narrow.matches ? 420 : figure.layout.height;
+  };
   const layoutOf = (figure) => {
     const layout = structuredClone(figure.layout);
     const small = narrow.matches;
@@ -146,7 +151,7 @@
     layout.shapes = shapes(figure);
     layout.height = heightOf(figure);
     layout.font = { family: "system-ui, sans-serif", size: small ? 11 : 13 };
-    layout.margin = small ? { l: 64, r: 8, t: 12, b: 48 } : { l: 92, r: 16, t: 12, b: 52 };
+    layout.margin = small || beside(figure) ? { l: 64, r: 8, t: 12, b: 48 } : { l: 92, r: 16, t: 12, b: 52 };
     layout.legend = { orientation: "h", yanchor: "bottom", y: 1.01, x: 0 };
     layout.dragmode = small ? false : "zoom";  // a finger scrolls the page
     layout.hoverlabel = { namelength: 40 };

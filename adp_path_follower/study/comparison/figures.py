@@ -42,7 +42,7 @@ def draw_cost(axes: Axes, found: Comparison) -> None:
     random = np.random.default_rng(0)  # of the jitter, so that the same numbers look the same
     for row, outcome in enumerate(ranked):
         loss = np.maximum(outcome.cost_ratio[np.isfinite(outcome.cost_ratio)] - 1.0, _LEAST_LOSS)
-        jitter = random.uniform(-0.2, 0.2, len(loss))
+        jitter = random.uniform(-0.15, 0.15, len(loss))
         axes.plot(loss, row + jitter, ".", color=_color(outcome.name), alpha=0.5, markersize=5)
         if len(loss):
             axes.plot(np.median(loss), row, "|", color="k", markersize=14, markeredgewidth=2)
