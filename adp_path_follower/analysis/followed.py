@@ -126,6 +126,7 @@ def _recorded(bag: FilePath, run: Run, notes: list[str]) -> list[tuple[int, Rout
     if not run.paths:
         raise FileError(
             f"bag {bag} has no path: name a topic of nav_msgs/msg/Path by --path, or a file"
+            f"{run.causes}"
         )
     found: list[tuple[int, Route, str]] = []
     problem = ""

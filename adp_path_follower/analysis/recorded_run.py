@@ -150,6 +150,7 @@ def _odometry(bag: FilePath, run: Run) -> Timeline:
     if found is None:
         raise FileError(
             f"bag {bag} has no odometry: name a topic of nav_msgs/msg/Odometry by --odom"
+            f"{run.causes}"
         )
     line = timeline(found, run.topics.get("odom", "odometry"))
     if not len(line.series.stamp):

@@ -2,10 +2,11 @@
 
 import functools
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat, Nodetype
+from rosbags.rosbag2 import storage_mcap
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -14,27 +15,58 @@ from adp_path_follower.core.errors import FileError
 # Nothing is computed from these: where a bag's definition lacks them, they are zero or empty.
 _NOT_NEEDED = ("covariance", "frame_id", "child_frame_id", "hardware_id")
 _TEXTS = ("string", "wstring")
+_LANGUAGES = ("ros2msg", "ros2idl", "omgidl", "")  # of definitions that rosbags knows
 _IDL_LINE = "=" * 80 + "\n"
 
 
 Reading = Callable[[bytes], bytes]
 
 
+def _definition_of(
+    schema: storage_mcap.Schema | None, known: Callable[..., MessageDefinition]
+) -> MessageDefinition:
+    """Return the definition in a schema, of other languages than ROS 2's only their name."""
+    if schema is not None and schema.encoding not in _LANGUAGES:
+        return MessageDefinition(MessageDefinitionFormat.NONE, schema.encoding)
+    return known(schema)
+
+
+def _read_string(bio: BinaryIO) -> str:
+    return storage_mcap.read_bytes(bio).decode(errors="replace")
+
+
+# rosbags refuses a file for one topic in another encoding, of which nothing need be read.
+storage_mcap.get_msgdef = functools.partial(_definition_of, known=storage_mcap.get_msgdef)
+storage_mcap.read_string = _read_string
+
+
+def kind_of(connection: Connection) -> str:
+    """Return the type of a topic's messages, with their encoding if that is not ROS 2's."""
+    definition, encoding = connection.msgdef, getattr(connection.ext, "serialization_format", "cdr")
+    if encoding == "cdr" and definition.format == MessageDefinitionFormat.NONE:
+        encoding = definition.data or encoding
+    return connection.msgtype if encoding == "cdr" else f"{connection.msgtype} in {encoding}"
+
+
 def as_jazzy(connection: Connection) -> Reading:
     """Return what makes messages of a connection those that ROS 2 Jazzy would have written.
 
     Fields go by their names; others than Jazzy's are passed over. Raises FileError if the bag's
-    definition of the type lacks a field that is needed, or has it of another type.
+    definition of the type lacks a field that is needed, has it of another type, or is damaged.
     """
     kind = connection.msgtype
-    theirs = _store_of(connection.msgdef, kind)
     ours = get_typestore(Stores.ROS2_JAZZY)
-    if theirs is None or kind not in ours.fielddefs or _same(theirs, ours, kind):
+    if connection.msgdef.format == MessageDefinitionFormat.NONE or kind not in ours.fielddefs:
         return bytes
-    problem = next(_problems(theirs, ours, kind), "")
-    if problem:
+    theirs = _store_of(connection.msgdef, kind)
+    if theirs is not None and _same(theirs, ours, kind):
+        return bytes
+    damaged = f"{kind} by a text that is no definition"
+    problem = damaged if theirs is None else next(_problems(theirs, ours, kind), "")
+    if theirs is None or problem:
+        remedy = "convert the bag" if theirs else "mend the bag with `adp recover`"
         raise FileError(
-            f"topic {connection.topic} cannot be read: the bag defines {problem}; convert the bag, "
+            f"topic {connection.topic} cannot be read: the bag defines {problem}; {remedy}, "
             "or record with the message packages of ROS 2 Jazzy"
         )
 
@@ -50,13 +82,22 @@ def as_jazzy(connection: Connection) -> Reading:
 
 @functools.lru_cache(maxsize=256)
 def _store_of(definition: MessageDefinition, kind: str) -> Typestore | None:
-    """Return the types of a definition; None without one, or with one that is not understood."""
-    if definition.format == MessageDefinitionFormat.NONE:
-        return None
+    """Return the types of a definition, None for one that is not understood."""
     try:
-        return types_of(kind, definition.data, definition.format == MessageDefinitionFormat.MSG)
+        store = types_of(kind, definition.data, definition.format == MessageDefinitionFormat.MSG)
+        _complete(store, kind)
     except Exception:  # rosbags' parser has no common error
         return None
+    return store
+
+
+def _complete(store: Typestore, kind: str) -> None:
+    """Add Jazzy's own types for those that a definition names, but does not give."""
+    ours = get_typestore(Stores.ROS2_JAZZY)
+    for inner in filter(None, map(_named, _fields(store, kind).values())):
+        if inner not in store.fielddefs:
+            store.register({inner: ours.fielddefs[inner]})
+        _complete(store, inner)
 
 
 def types_of(kind: str, text: str, is_msg: bool) -> Typestore:

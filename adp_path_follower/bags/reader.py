@@ -1,6 +1,7 @@
 """Open a bag, also where it was not closed, and read its run into arrays."""
 
 import contextlib
+import re
 import shutil
 import sqlite3
 import tempfile
@@ -12,10 +13,11 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.columns import Columns, Series
-from adp_path_follower.bags.definitions import Reading, as_jazzy
+from adp_path_follower.bags.definitions import Reading, as_jazzy, kind_of
 from adp_path_follower.bags.topics import SERIES, Choice, chosen_topics
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
@@ -23,6 +25,7 @@ from adp_path_follower.messages.raw import read_path
 
 _FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")
 _CONVERT = "convert one of ROS 1 with `rosbags-convert --src BAG --dst DIRECTORY`"
+_OTHER_ENCODING = re.compile(r"serialization_format: *(?![\"']?cdr\b)\S+")
 _REPORTED = 20_000  # messages between two reports of progress
 _NEEDED = ("odom", "path")  # without which there is nothing to analyse or replay
 
@@ -41,17 +44,32 @@ def opened_bag(bag: FilePath) -> Iterator[tuple[Reader, list[str]]]:
                     "the recording of this sqlite3 bag was not ended: messages of its -wal file "
                     "were read, too"
                 )
-            yield stack.enter_context(Reader(found)), notes
+            copy = stack.enter_context(tempfile.TemporaryDirectory(prefix="adp_bag_"))
+            reader = stack.enter_context(Reader(_said_to_be_cdr(found, FilePath(copy))))
+            _take_topics_of_files(reader)
+            yield reader, notes
     except FileError:
         raise
     except Exception as error:  # a damaged file fails in the reading library wherever it will
         reason = " ".join(str(error).split()) or type(error).__name__
         remedy = "`adp recover` may save what is in it"
-        if isinstance(error, KeyError):  # how the library says that it does not know an encoding
-            reason, remedy = f"it has a topic in {reason}", "leave it out, as `mcap filter` can"
-        elif "Profile is not" in reason:
+        if "Profile is not" in reason:
             remedy = f"{_CONVERT}, one of another tool with `adp recover`"
         raise FileError(f"bag {bag} cannot be read: {reason.rstrip('.')}; {remedy}") from None
+
+
+def messages_of(
+    bag: FilePath, wanted: Callable[[str, str], bool]
+) -> Iterator[tuple[int, str, bytes]]:
+    """Yield arrival [ns], topic and content, as ROS 2 Jazzy writes it, of wanted (topic, type)s.
+
+    Raises FileError if the bag, or the definition of a wanted type, cannot be read.
+    """
+    with opened_bag(bag) as (reader, _):
+        chosen = [item for item in reader.connections if wanted(item.topic, kind_of(item))]
+        readings = {connection.id: as_jazzy(connection) for connection in chosen}
+        for connection, arrival, raw in reader.messages(chosen) if chosen else ():
+            yield arrival, connection.topic, readings[connection.id](raw)
 
 
 def _bag_in(bag: FilePath) -> FilePath:
@@ -102,6 +120,27 @@ def _merged(bag: FilePath, folder: FilePath) -> FilePath:
     return copy
 
 
+def _said_to_be_cdr(bag: FilePath, folder: FilePath) -> FilePath:
+    """Return a bag whose metadata.yaml names no other encoding: the library refuses those whole."""
+    text = (bag / "metadata.yaml").read_text() if bag.is_dir() else ""
+    if not _OTHER_ENCODING.search(text):
+        return bag
+    for file in bag.iterdir():
+        (folder / file.name).symlink_to(file.resolve())
+    (folder / "metadata.yaml").unlink()
+    (folder / "metadata.yaml").write_text(_OTHER_ENCODING.sub("serialization_format: cdr", text))
+    return folder
+
+
+def _take_topics_of_files(reader: Reader) -> None:
+    """Take a bag's topics and their encodings from its files: metadata.yaml may be older."""
+    if isinstance(reader.storage, DirectoryReader):
+        stored = [item for file in reader.storage.storages for item in file.connections]
+        reader.storage.connections[:] = [
+            item._replace(id=number) for number, item in enumerate(stored)
+        ]
+
+
 @dataclass(frozen=True)
 class Diagnostic:
     """A status of one node in /diagnostics that differs from the one before."""
@@ -139,6 +178,11 @@ class Run:
     def configuration(self) -> str:
         """Return what the controller said last it runs with, as YAML; empty without it."""
         return self.configurations[-1][1] if self.configurations else ""
+
+    @property
+    def causes(self) -> str:
+        """Return the notes as the end of a sentence about what is missing."""
+        return "".join(f"; {note}" for note in self.notes)
 
 
 def read_run(
@@ -184,7 +228,7 @@ class _Collector:
         self._handlers: dict[int, tuple[Callable[[int, bytes], None], Reading]] = {}
         keys = {topic: key for key, topic in self._topics.items()}
         for connection in reader.connections:
-            key, kind = keys.get(connection.topic), connection.msgtype
+            key, kind = keys.get(connection.topic), kind_of(connection)
             if key is None or kind != choice.kinds[key]:
                 continue
             try:

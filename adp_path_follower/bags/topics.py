@@ -7,6 +7,7 @@ from pathlib import Path as FilePath
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
+from adp_path_follower.bags.definitions import kind_of
 from adp_path_follower.core.errors import FileError
 
 _NODE = "path_follower"
@@ -58,7 +59,8 @@ class _Bag:
         self.counts: dict[str, dict[str, int]] = {}
         for connection in connections:
             kinds = self.counts.setdefault(connection.topic, {})
-            kinds[connection.msgtype] = kinds.get(connection.msgtype, 0) + connection.msgcount
+            kind = kind_of(connection)
+            kinds[kind] = kinds.get(kind, 0) + connection.msgcount
         nodes = {topic.split("/")[-2] for topic in self.counts if topic.endswith("/measured_pose")}
         self.node = nodes.pop() if len(nodes) == 1 else _NODE  # it may have another name
 
@@ -147,12 +149,12 @@ def chosen_topics(
 
 
 def _unknown_types(connections: Sequence[Connection]) -> list[str]:
-    """Return a note on the topics whose type ROS 2 Jazzy does not have, none without such."""
+    """Return a note on the topics that ROS 2 Jazzy has no type or decoder for, none without."""
     known = get_typestore(Stores.ROS2_JAZZY).fielddefs
     unknown = {
-        connection.topic: connection.msgtype
+        connection.topic: kind_of(connection)
         for connection in connections
-        if connection.msgtype not in known
+        if kind_of(connection) not in known
     }
     if not unknown:
         return []

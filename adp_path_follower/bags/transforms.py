@@ -6,8 +6,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from adp_path_follower.bags.definitions import as_jazzy
-from adp_path_follower.bags.reader import opened_bag
+from adp_path_follower.bags.reader import messages_of
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.messages.cdr import CdrError
 from adp_path_follower.messages.raw import read_transforms as raw_transforms
@@ -92,15 +91,11 @@ def frame_name(name: str) -> str:
 def read_transforms(bag: FilePath) -> Transforms:
     """Return the transforms of a bag, none without /tf; FileError if it cannot be read."""
     found = Transforms()
-    with opened_bag(bag) as (reader, _):
-        wanted = [
-            connection
-            for connection in reader.connections
-            if connection.topic.rpartition("/")[2] in _TOPICS and connection.msgtype == _TYPE
-        ]
-        readings = {connection.id: as_jazzy(connection) for connection in wanted}
-        for connection, time, raw in reader.messages(wanted) if wanted else ():
-            with contextlib.suppress(CdrError):
-                content = readings[connection.id](raw)
-                found.take(time, content, connection.topic.endswith("tf_static"))
+
+    def wanted(topic: str, kind: str) -> bool:
+        return topic.rpartition("/")[2] in _TOPICS and kind == _TYPE
+
+    for arrival, topic, content in messages_of(bag, wanted):
+        with contextlib.suppress(CdrError):
+            found.take(arrival, content, topic.endswith("tf_static"))
     return found

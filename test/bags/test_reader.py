@@ -15,6 +15,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from adp_path_follower.analysis.recorded_run import drive_of
 from adp_path_follower.bags.columns import KINDS
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.writer import BagWriter
@@ -382,7 +383,6 @@ def test_of_two_types_on_a_topic_the_more_frequent_is_read_and_the_other_counted
     [
         ("ros1", "ros1msg", "convert one of ROS 1 with `rosbags-convert"),
         ("", "ros2msg", "one of another tool with `adp recover`"),
-        ("ros2", "protobuf", "it has a topic in 'protobuf'; leave it out"),
     ],
 )
 def test_files_of_other_kinds_are_one_sentence(tmp_path, profile, encoding, words):
@@ -399,6 +399,65 @@ def test_files_of_other_kinds_are_one_sentence(tmp_path, profile, encoding, word
     old.write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(FileError, match="no bag of ROS 2: convert one of ROS 1"):
         read_run(old)
+
+
+def mcap_of_encodings(file, encodings, others=()):
+    """Write a short run; topics have the encodings (definition, messages) given for them."""
+    with file.open("wb") as stream:
+        writer, channels = Mcap(stream), {}
+        writer.start(profile="ros2", library="another tool")
+        for topic, kind, definition, data, encoding in others:
+            schema = writer.register_schema(kind, definition, data) if kind else 0
+            writer.add_message(writer.register_channel(topic, encoding, schema), 1, b"{}", 1)
+        for topic, time, message in small_run():
+            if topic not in channels:
+                definition, encoding = encodings.get(topic, ("ros2msg", "cdr"))
+                text, _ = STORE.generate_msgdef(message.__msgtype__, ros_version=2)
+                schema = writer.register_schema(message.__msgtype__, definition, text.encode())
+                channels[topic] = writer.register_channel(topic, encoding, schema)
+            writer.add_message(channels[topic], time, raw(message), time)
+        writer.finish()
+
+
+def test_topics_in_other_encodings_are_left_out_with_a_note(tmp_path):
+    others = [
+        ("/json", "cam", "jsonschema", b"{}", "json"),
+        ("/proto", "foxglove.Image", "protobuf", bytes([0x0A, 0xFF, 0xC3, 0x28]), "protobuf"),
+        ("/bare", "", "", b"", "json"),
+        ("/odom", "nav_msgs/msg/Odometry", "jsonschema", b"{}", "json"),
+    ]
+    mcap_of_encodings(tmp_path / "others.mcap", {"/cmd_vel": ("protobuf", "protobuf")}, others)
+    run = read_run(tmp_path / "others.mcap")
+    assert len(run.series["odom"].stamp) == 10
+    assert "cmd_vel" not in run.series
+    assert "/odom: 1 messages are nav_msgs/msg/Odometry in json, not nav_msgs" in run.notes[0]
+    assert "/cmd_vel has the type geometry_msgs/msg/TwistStamped in protobuf" in run.notes[1]
+    for named in ("/json (cam in json)", "/proto (foxglove.Image in protobuf)", "/bare (", "/odom"):
+        assert named in run.notes[-1]
+    assert run.message_counts["/proto"] == 1
+
+
+def test_a_needed_topic_in_another_encoding_is_named(tmp_path):
+    mcap_of_encodings(tmp_path / "json.mcap", {"/odom": ("jsonschema", "json")})
+    with pytest.raises(FileError, match=r"no odometry.*/odom has the type .*Odometry in json"):
+        drive_of(tmp_path, read_run(tmp_path / "json.mcap"))
+
+
+def test_the_files_of_a_bag_say_which_topics_it_has(tmp_path):
+    """A topic in json, and one that an older metadata.yaml does not know."""
+    bag = write_bag(tmp_path / "bag", small_run())
+    others = [("/json", "cam", "jsonschema", b"{}", "json")]
+    mcap_of_encodings(bag / "bag_0.mcap", {}, others)
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text())
+    topics = metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
+    topics[0]["topic_metadata"]["serialization_format"] = "json"
+    del topics[1:]
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    run = read_run(bag)
+    assert len(run.series["odom"].stamp) == len(run.series["cmd_vel"].stamp) == 10
+    assert run.notes == (
+        "topics of types that are not known here: /json (cam in json): passed over",
+    )
 
 
 def test_a_folder_that_holds_a_bag_means_that_bag(tmp_path):

@@ -87,6 +87,8 @@ def replay(
     outputs.check_writable(csv_file, figure_file)
     outputs.check_figure(figure_file)
     run = read_run(bag, options.given_topics(odom=odom, cmd=cmd, path=path))
+    for note in run.notes:
+        click.echo(f"adp: {note}", err=True)
     if republish:
         _republish(bag, run, rate)
         return

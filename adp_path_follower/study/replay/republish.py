@@ -15,9 +15,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
-from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 
+from adp_path_follower.bags.reader import messages_of
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.ros.runtime.conversions import stamp_nanoseconds
 
@@ -29,6 +29,7 @@ _SETTLING = 5.0  # [s] for both sides to find each other
 _PATH_PERIOD = 1.0  # [s] between repetitions of the first path
 
 _TYPES = {"odom": Odometry, "path": PathMessage}
+_KINDS = {"odom": "nav_msgs/msg/Odometry", "path": "nav_msgs/msg/Path"}
 
 
 def republish(
@@ -170,12 +171,11 @@ def recorded_messages(
 def _decoded(bag: FilePath, keys: Mapping[str, str]) -> tuple[list[tuple[int, str, Any]], int]:
     """Return arrival [ns], key and message of topics -> keys, and how many are damaged."""
     found, damaged = [], 0
-    with Reader(bag) as reader:
-        connections = [item for item in reader.connections if item.topic in keys]
-        for item, arrival, raw in reader.messages(connections):
-            key = keys[item.topic]
-            try:
-                found.append((arrival, key, deserialize_message(bytes(raw), _TYPES[key])))
-            except Exception:  # rclpy has no error of its own for a message that is cut
-                damaged += 1
+    kinds = {topic: _KINDS[key] for topic, key in keys.items()}
+    for arrival, topic, raw in messages_of(bag, lambda topic, kind: kinds.get(topic) == kind):
+        key = keys[topic]
+        try:
+            found.append((arrival, key, deserialize_message(raw, _TYPES[key])))
+        except Exception:  # rclpy has no error of its own for a message that is cut
+            damaged += 1
     return found, damaged

@@ -7,11 +7,10 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from adp_path_follower.bags.reader import messages_of
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.messages.raw import stamped_numbers
@@ -32,7 +31,13 @@ _KINDS = {
     "/path_follower/configuration": "std_msgs/msg/String",
 }
 # Topics of the recorded run that stay as they are.
-_COPIED = ("odom", "path", "goal_path", "ground_truth", "initial_weights")
+_COPIED = {
+    "odom": "nav_msgs/msg/Odometry",
+    "path": "nav_msgs/msg/Path",
+    "goal_path": "nav_msgs/msg/Path",
+    "ground_truth": "nav_msgs/msg/Odometry",
+    "initial_weights": "std_msgs/msg/UInt8MultiArray",
+}
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 # Arrival [ns], topic, serialised message.
@@ -52,32 +57,26 @@ def write_replay(
     v, w at each step (N, 2) of a closed loop, whose odometry then replaces the recorded one. Raises
     FileError if `bag` exists or cannot be made.
     """
-    copied = [topics[key] for key in _COPIED if key in topics]
-    if velocity is not None:
-        copied = [topics[key] for key in _COPIED[1:] if key in topics and key != "ground_truth"]
-    writer = BagWriter(bag, {"replay_of": source.name}, chunked=True)
+    gone = ("odom", "ground_truth") if velocity is not None else ()
+    kinds = {
+        topics[key]: kind for key, kind in _COPIED.items() if key in topics and key not in gone
+    }
     numbers: dict[str, int] = {}
-    with Reader(source) as reader:
-        connections = [
-            item
-            for item in reader.connections
-            if item.topic in copied or (item.msgtype == _TRANSFORMS and velocity is None)
-        ]
-        for connection in connections:
-            if connection.topic not in numbers:
-                numbers[connection.topic] = writer.add_topic(connection.topic, connection.msgtype)
-        for topic, kind in _KINDS.items():
-            if topic not in numbers and (topic != "/odom" or velocity is not None):
-                numbers[topic] = writer.add_topic(topic, kind)
-        recorded = _recorded(reader, connections)
-        for arrival, topic, message in heapq.merge(recorded, _replayed(found, velocity)):
-            writer.write(numbers[topic], message, arrival, arrival)
+
+    def wanted(topic: str, kind: str) -> bool:
+        known = kinds.get(topic) == kind or (kind == _TRANSFORMS and velocity is None)
+        if known and topic not in numbers:
+            numbers[topic] = writer.add_topic(topic, kind)
+        return known
+
+    writer = BagWriter(bag, {"replay_of": source.name}, chunked=True)
+    for topic, kind in _KINDS.items():
+        if topic != "/odom" or velocity is not None:
+            numbers[topic] = writer.add_topic(topic, kind)
+    recorded = messages_of(source, wanted)
+    for arrival, topic, message in heapq.merge(recorded, _replayed(found, velocity)):
+        writer.write(numbers[topic], message, arrival, arrival)
     writer.close()
-
-
-def _recorded(reader: Reader, connections: list[Connection]) -> Iterator[_Entry]:
-    for connection, arrival, raw in reader.messages(connections) if connections else ():
-        yield arrival, connection.topic, bytes(raw)
 
 
 def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
