@@ -276,10 +276,14 @@ class PathFollowerNode(Ending, LifecycleNode):
         try:
             output = self.driver.command_for(pose, time, motion)
         except SettingsError as error:
+            self._note_step(time, frame, (pose, motion))
             self._refuse_command(str(error))
             return
         if not all(map(math.isfinite, output.command.tolist())):
-            self._unlearn(time, frame, (pose, motion))
+            self._note_step(time, frame, (pose, motion))
+            self.driver.reset_learning()
+            self._publish_configuration()
+            self._refuse_command("the learner's command is not finite; learning was reset")
             return
         self._last_command, self._step_time = output.command, time
         too_late = parts.commands.take_lateness()
@@ -297,13 +301,10 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._supervisor.command_problem = problem
         self._update_status()
 
-    def _unlearn(self, time: int, frame: str, measured: tuple[FloatArray, FloatArray]) -> None:
-        """Reset learning after a step without a command; replays take that step, too."""
+    def _note_step(self, time: int, frame: str, measured: tuple[FloatArray, FloatArray]) -> None:
+        """Note a step without a command, as replays take that step, too."""
         self._last_command, self._step_time = _ZERO, time
         self.parts.telemetry.measured(time, frame, measured)
-        self.driver.reset_learning()
-        self._publish_configuration()
-        self._refuse_command("the learner's command is not finite; learning was reset")
 
     def _tell(
         self, time: int, frame: str, measured: tuple[FloatArray, FloatArray], output: FollowerOutput

@@ -8,7 +8,7 @@ import numpy as np
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.output import Counts, FollowerOutput
-from adp_path_follower.core.errors import AdpError, FileError
+from adp_path_follower.core.errors import AdpError, FileError, SettingsError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.weights_file import SavedWeights, decode
 from adp_path_follower.core.path.preparation import prepare
@@ -162,7 +162,8 @@ class RecordedDriver(Driver):
     ) -> None:
         """Take paths, changes, `settings` and `overlay` as `replay`, whose errors it raises."""
         if not any(len(poses) for _, poses in run.paths):
-            raise FileError("the bag has no path: name a topic of nav_msgs/msg/Path by --path")
+            wanted = "name a topic of nav_msgs/msg/Path by --path"
+            raise FileError(f"the bag has no path: {wanted}{run.causes}")
         self._fixed, self._overlay = settings, overlay or {}
         self._routes = RecordedRoutes(run, settings, self._overlay)
         # Number of a step, and what a controller that drives like this says before it.
@@ -190,8 +191,13 @@ class RecordedDriver(Driver):
             settings = recorded.settings
         return update(settings, self._overlay) if self._overlay else settings
 
-    def step(self, pose: FloatArray, time: int, motion: FloatArray | None = None) -> FollowerOutput:
-        """Return the output for a pose and motion (3,) at a time [ns]; FileError if impossible."""
+    def taken(
+        self, pose: FloatArray, time: int, motion: FloatArray | None = None
+    ) -> FollowerOutput | None:
+        """Return the output for a pose and motion (3,) at a time [ns], None if settings forbid any.
+
+        Raises FileError for an impossible pose, SettingsError where the settings are not recorded.
+        """
         changed = not self.outputs
         while self._next is not None and self._next.after_step < time:
             self._change(self._next)
@@ -211,10 +217,15 @@ class RecordedDriver(Driver):
         try:
             with np.errstate(all="ignore"):  # a damaged pose raises below, once
                 known = motion if motion is not None and np.isfinite(motion).all() else None
-                output = super().step(pose, time, known)
+                output = self.step(pose, time, known)
             sound = bool(np.isfinite(output.command).all())
             if not sound and self._was_reset_after(time):  # and the robot told to stop
                 output, sound = replace(output, command=np.zeros(2)), True
+        except SettingsError:  # as in the node, which told the robot to stop
+            if self._fixed is not None or self._overlay:
+                raise
+            self._last = time
+            return None
         except (ArithmeticError, LookupError, ValueError):
             sound = False
         if not sound:  # where no robot ever was

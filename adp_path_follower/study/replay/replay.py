@@ -91,12 +91,15 @@ def replay(
     if settings is None and "measured_pose" not in run.series:
         settings = recorded_settings(run) if overlay else _settings_of_odometry_steps(run)
     driver = RecordedDriver(run, settings, overlay)
+    answered = []
     for pose, stamp, motion in zip(steps.pose, steps.stamp.tolist(), steps.motion, strict=True):
-        driver.step(pose, stamp, motion)
+        answered.append(driver.taken(pose, stamp, motion) is not None)
         if driver.at_goal and "measured_pose" not in run.series:
             break  # from here on the node commands zero velocity
-    count = len(driver.outputs)
-    steps = Steps(*(values[:count] for values in vars(steps).values()))
+    if not driver.outputs:
+        raise FileError("no step of the bag has a command: its settings allow none on its path")
+    chosen = np.flatnonzero(answered)
+    steps = Steps(*(values[chosen] for values in vars(steps).values()))
     commands = np.array([output.command for output in driver.outputs])
     recorded = _recorded(run.series.get("cmd_vel"), steps, commands)
     return Replay.by(driver, steps, recorded)
@@ -106,7 +109,8 @@ def steps_of(run: Run) -> Steps:
     """Return the control steps of a run; FileError if there are none, or poses are not finite."""
     series = run.series.get("measured_pose", run.series.get("odom"))
     if series is None:
-        raise FileError("the bag has no odometry: name a topic of nav_msgs/msg/Odometry by --odom")
+        wanted = "name a topic of nav_msgs/msg/Odometry by --odom"
+        raise FileError(f"the bag has no odometry: {wanted}{run.causes}")
     # The simulator repeats odometry that was not answered in time: the first of each stamp counts.
     stamps, first = np.unique(series.stamp, return_index=True)
     if series is run.series.get("odom") and "cmd_vel" in run.series:
@@ -185,12 +189,14 @@ def rerun(
     stamps: list[int] = []
     poses, velocities = [], []
     while stamp <= last and not (stamps and driver.at_goal):
-        stamps.append(stamp)
-        poses.append(robot.measured_pose())
-        velocities.append(robot.twist)
-        output = driver.step(poses[-1], stamp, np.append(robot.twist, 0.0))
+        pose, twist = robot.measured_pose(), robot.twist
+        output = driver.taken(pose, stamp, np.append(twist, 0.0))
+        if output is not None:
+            stamps.append(stamp)
+            poses.append(pose)
+            velocities.append(twist)
         period = 1.0 / driver.settings.controller.controller_frequency
-        robot.step(output.command, period)
+        robot.step(np.zeros(2) if output is None else output.command, period)
         stamp += round(period * _NANOSECONDS)
     count = len(stamps)
     stamp_array = np.array(stamps)

@@ -21,6 +21,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from adp_path_follower.bags.reader import read_run
+from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.registry import load_plugins
 from adp_path_follower.core.settings.groups import ControllerSettings, Settings
@@ -254,6 +255,28 @@ def test_a_command_that_is_no_number_resets_learning_and_replays(tmp_path, monke
     assert again.identical[again.answered].all()
     assert (again.recorded == 0.0).all(axis=1).sum() == 2
     assert compare_weights(run, again).identical.all()
+
+
+def test_steps_that_the_settings_forbid_are_in_the_record(peer, start, tmp_path):
+    recorder = start("recorder", output=str(tmp_path / "bag"))
+    too_far = {"path_start": "arc_length", "start_arc_length": 1000.0}
+    node = start("controller", robot_model="learned", **too_far)
+    peer.until_matched(peer.odometry, peer.path)
+    peer.until_recorded()
+    commands = peer.listen(TwistStamped, "cmd_vel")
+    peer.send_path()
+    peer.node.create_timer(0.02, lambda: peer.send_odometry((0.3, 0.1, 0.0), v=0.1))
+    peer.until(lambda: "setting 'start_arc_length' is 1000" in node.output(), "the sentence")
+    assert peer.set_parameter("path_follower", "start_arc_length", 0.2).successful
+    peer.until(lambda: len(commands) > 50 and not is_zero(commands[-1]), "motion")
+    recorder.stop()
+    run = read_run(tmp_path / "bag")
+    again = replay(run)
+    assert 0 < len(again.steps.stamp) < len(run.series["measured_pose"].stamp)
+    assert again.answered.sum() > 40
+    assert again.identical[again.answered].all()
+    with pytest.raises(SettingsError, match="'start_arc_length' is 1000"):
+        replay(run, overlay={"start_arc_length": 1000.0})
 
 
 def test_a_stop_is_said_ten_times_however_long_that_was_kept_waiting(peer):
