@@ -20,10 +20,12 @@ from adp_path_follower.core.path.curve import Path, TurningBackError
 from adp_path_follower.core.path.points import averaged, chord_spline, distinct_points, joined
 from adp_path_follower.core.path.route import Route, Segment
 from adp_path_follower.core.path.smoothing import Interpolation, bends, is_fair, smoothed
+from adp_path_follower.core.path.unrounding import unrounded
 from adp_path_follower.core.settings.groups import PathSettings
 
 _DENSE = 0.25  # of the tolerance: poses that are nearer are averaged, ...
 _MOVED = 0.02  # ... if that moves them by no more than this share of it
+_ROUNDING = 0.25  # of the tolerance: the most that coordinates are rounded to, to be mended
 _CUSP = math.cos(math.radians(135.0))  # of the turn from which on the motion is cut
 _SHORT = 1.5  # times the tolerance: a chord that may hide the tip of a cusp
 _DECIDED = 0.5  # cosine between orientation and motion from which on it says forwards, or backwards
@@ -157,8 +159,10 @@ def _against_motion(poses: _Poses) -> np.ndarray:
 
 
 def _interpolation(points: FloatArray, said: bool | None, tolerance: float) -> Interpolation:
-    points, closed = joined(averaged(points, _DENSE * tolerance, _MOVED * tolerance), said)
-    return Interpolation(*chord_spline(points, closed), points, closed)
+    points, closed = joined(points, said)
+    points, moved = unrounded(points, closed, _ROUNDING * tolerance)
+    points = averaged(points, _DENSE * tolerance, _MOVED * tolerance)
+    return Interpolation(*chord_spline(points, closed), points, closed, moved)
 
 
 def _exact(through: Interpolation, tolerance: float) -> Path | None:
@@ -320,7 +324,7 @@ def _fitted(
             return path
         if tolerance == 0.0:
             return Path.along(through.spline, through.parameter, through.closed)
-        curve, step = smoothed(through, tolerance)
+        curve, step = smoothed(through, tolerance - through.moved)
         curve, _ = distinct_points(curve)
         return Path.along(*chord_spline(curve, through.closed), through.closed, step)
     except TurningBackError as error:

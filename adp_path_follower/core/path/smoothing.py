@@ -65,6 +65,7 @@ class Interpolation:
     parameter: FloatArray  # that of each point, (N,) [m]
     points: FloatArray  # shape (N, 2) [m]; those of a closed path end with the first
     closed: bool  # whether the path is closed
+    moved: float = 0.0  # how far points may be from those that were given [m]
 
     def places(self, tolerance: float) -> tuple[FloatArray, float]:
         """Return parameters at even steps, fine enough for a tolerance [m], and the step."""
@@ -135,7 +136,7 @@ def _sampled(points: FloatArray, closed: bool) -> np.ndarray:
 
 def is_fair(through: Interpolation, tolerance: float) -> bool:
     """Return whether a spline is near its polyline, and smoothing would hardly straighten it."""
-    if through.excess.max() > tolerance:
+    if through.excess.max() > tolerance - through.moved:
         return False
     places, step = through.places(tolerance)
     along = in_blocks(through.spline, places)

@@ -350,3 +350,19 @@ def test_dense_points_of_a_corner_are_no_farther_than_the_tolerance():
     )
     path = prepare(points, PathSettings()).segments[0].path
     assert cKDTree(path.points(0.001)[:, :2]).query(points)[0].max() < 0.05
+
+
+@pytest.mark.parametrize("spacing", [0.02, 0.1])
+@pytest.mark.parametrize(("decimals", "bend"), [(6, 0.002), (4, 0.01), (3, 0.03), (2, 0.06)])
+def test_rounded_coordinates_bend_no_path(spacing, decimals, bend):
+    """A slalom y = sin(0.9 x); in millimetres it was bent by up to 0.33 1/m."""
+    x = np.linspace(0.0, 20.0, 200_001)
+    along = np.cumsum(np.hypot(1.0, 0.9 * np.cos(0.9 * x))) * 1e-4
+    x = np.interp(np.arange(0.0, along[-1], spacing), along, x)
+    points = np.round(np.column_stack([x, np.sin(0.9 * x)]), decimals)
+    path = prepare(points, FORWARDS).segments[0].path
+    frame = path.frame(np.linspace(0.5, path.length - 0.5, 3000))
+    place = 0.9 * frame.pose[:, 0]
+    true = -0.81 * np.sin(place) / (1.0 + (0.9 * np.cos(place)) ** 2) ** 1.5
+    assert np.abs(frame.curvature - true).max() < bend
+    assert nearest_on(path, points).max() < 1.2 * 10.0**-decimals + 2e-6
