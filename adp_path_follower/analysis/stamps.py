@@ -15,12 +15,14 @@ from adp_path_follower.core.geometry import FloatArray
 
 _SECOND = 1_000_000_000
 _OTHER_CLOCK = _SECOND  # [ns] between two times: they are of different clocks
+_EARLY = _SECOND // 20  # [ns] that a stamp may be after its arrival: clocks differ by more
 _WRONG = 2 * _SECOND  # [ns] that a stamp's delay differs from those around it
 _AROUND = 9  # messages
 _FEW = 0.05  # share of messages whose times may be mended one by one
 _ALIKE = 0.02  # share of messages that may have the stamp of another
 _RUN = 10  # messages that go on after time was set back; fewer were late
-_LEAP = 10  # seconds, and times the arrival's step: stamps that leap ahead are of another clock
+_LEAP = 3  # times the steps of arrival, and of others: stamps that leap ahead are of another clock
+_LONGER = 1.02  # times the way in order of arrival: the order of the stamps is not that of motion
 _GREATEST = 1e8  # [m, m/s, rad/s]
 
 
@@ -44,13 +46,19 @@ class Clock:
     def __init__(self, odometry: Timeline) -> None:
         stamps, arrivals = odometry.all_stamps, odometry.all_arrivals
         self.is_arrival = odometry.by_arrival
-        self._other = bool(len(stamps)) and abs(_median(arrivals - stamps)) > _OTHER_CLOCK
+        delay = _median(arrivals - stamps) if len(stamps) else 0.0
+        self._other = not -_EARLY < delay <= _OTHER_CLOCK
+        self._tolerance = _OTHER_CLOCK if delay > -_EARLY else _EARLY
         if self._other:
             order = np.argsort(arrivals, kind="stable")
             self._origin, self._first = int(arrivals[order[0]]), int(stamps[order[0]])
             # Relative, for a double cannot hold nanoseconds since 1970.
             self._arrival = (arrivals[order] - self._origin).astype(float)
             self._stamp = (stamps[order] - self._first).astype(float)
+
+    def differs(self, stamps: np.ndarray, mapped: np.ndarray) -> bool:
+        """Return whether stamps [ns] are of another clock than their mapped arrivals."""
+        return bool(len(stamps)) and abs(_median(stamps - mapped)) > self._tolerance
 
     def stamps(self, arrival: np.ndarray) -> np.ndarray:
         """Return stamps [ns] for arrivals [ns]."""
@@ -78,7 +86,7 @@ def timeline(series: Series, name: str, clock: Clock | None = None) -> Timeline:
         mapped = clock.stamps(arrivals)
         if by_arrival:
             stamps = mapped
-        elif len(stamps) and abs(_median(stamps - mapped)) > _OTHER_CLOCK:
+        elif clock.differs(stamps, mapped):
             stamps, by_arrival = mapped, True
             notes.append(f"{name}: stamped by another clock than the odometry: arrival is used")
     if by_arrival:
@@ -98,7 +106,7 @@ def timed_stamps(series: Series, clock: Clock) -> np.ndarray:
     if same or not len(mapped):
         return mapped
     alike = len(np.unique(series.stamp)) < 0.5 * len(mapped)
-    other = abs(_median(series.stamp - mapped)) > _OTHER_CLOCK
+    other = clock.differs(series.stamp, mapped)
     back = _starts(series.stamp, series.arrival) != [0]
     return mapped if alike or other or back else series.stamp
 
@@ -149,6 +157,10 @@ def _mended(
             return arrivals, cut, notes, True
     cut = np.zeros(count, dtype=bool)
     if len(starts) == 1:
+        sorted_way = _way(values[np.argsort(stamps, kind="stable")])
+        if sorted_way > _LONGER * _way(values):
+            notes.append("the stamps are in another order than the motion: arrival is used")
+            return arrivals, cut, notes, True
         return stamps, cut, notes, False
     steps = [f"{(stamps[at] - stamps[at - 1]) / _SECOND:+.1f} s" for at in starts[1:]]
     notes.append(
@@ -174,25 +186,38 @@ def _outliers(stamps: np.ndarray, arrivals: np.ndarray) -> np.ndarray:
 
 def _starts(stamps: np.ndarray, arrivals: np.ndarray) -> list[int]:
     """Return at which messages the parts of one clock begin, the first among them."""
-    steps, waits = np.diff(stamps), np.diff(arrivals)
-    leaps = steps > _LEAP * (_SECOND + np.abs(waits))
+    steps, waits = np.diff(stamps), np.abs(np.diff(arrivals))
+    usual = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
+    pace = usual / max(1.0, float(np.median(waits))) if len(waits) else 1.0  # of simulated time
+    leaps = steps > 0.5 * _SECOND + _LEAP * np.maximum(pace * waits, usual)
     backward = np.flatnonzero(steps < 0) + 1
+    delay = arrivals - stamps
     starts = [0]
-    for at in np.union1d(backward, np.flatnonzero(leaps) + 1).tolist():
-        if leaps[at - 1]:
-            starts.append(at)
+    places = np.union1d(backward, np.flatnonzero(leaps) + 1).tolist()
+    for at, following in zip(places, [*places[1:], len(stamps)], strict=False):
+        if leaps[at - 1]:  # for good; after messages that were held up the delay is as before
+            change = _median(delay[starts[-1] : at]) - _median(delay[at:following])
+            if 2.0 * change > steps[at - 1]:
+                starts.append(at)
             continue
         before = stamps[starts[-1] : at]
         after = np.searchsorted(backward, at, side="right")
         stop = int(backward[after]) if after < len(backward) else len(stamps)
         run = stamps[at:stop]
         run = run[: np.searchsorted(run, before.max())]
+        if 2 * int((before > run[:1]).sum()) < min(2 * _RUN, len(before)):
+            continue  # but for a few that came too early it goes on
         if len(run) < (_RUN if stop < len(stamps) else 3):
             continue
         shared = int(((before >= run[0]) & (before <= run[-1])).sum())
         if 2 * shared >= len(run) or run[-1] < before.min():  # else what was missing came late
             starts.append(at)
     return starts
+
+
+def _way(values: FloatArray) -> float:
+    """Return the length of the way through the first two columns of values (N, M)."""
+    return float(np.hypot(*np.diff(values[:, :2], axis=0).T).sum())
 
 
 def _alike(stamps: np.ndarray, values: FloatArray) -> int:

@@ -210,6 +210,9 @@ def stamps_of(kind: str, count: int):
         "set back": np.where(number < count // 2, good - good[0], good - good[count // 2]),
         "from wall to simulated": np.where(number < count // 2, good, good - good[0]),
         "ahead": np.where(number < count // 2, good, good + 3600 * SECOND),
+        "ahead by little": np.where(number < count // 2, good, good + 5 * SECOND),
+        "of two clocks in turn": np.where(number % 2, good, good - good[0] + 5 * SECOND),
+        "shaken": good + np.random.default_rng(3).integers(-50_000_000, 50_000_000, count),
     }[kind]
 
 
@@ -224,6 +227,9 @@ def stamps_of(kind: str, count: int):
         ("set back", "time is set -6.5 s, as by a simulator's reset"),
         ("from wall to simulated", "as by a simulator's reset"),
         ("ahead", "time is set +3600.0 s"),
+        ("ahead by little", "time is set +5.0 s"),
+        ("of two clocks in turn", "in another order than the motion: arrival is used"),
+        ("shaken", "in another order than the motion: arrival is used"),
     ],
 )
 def test_stamps_that_are_of_no_use_are_replaced_and_named(tmp_path, kind, note):
@@ -243,6 +249,24 @@ def test_commands_of_another_clock(tmp_path):
     found = analysed(tmp_path, [*(item for item in odom if item[0] != "/cmd_vel"), *wall])
     assert_driven(found)
     assert "/cmd_vel: stamped by another clock than the odometry: arrival is used" in found.notes
+
+
+def test_odometry_of_a_clock_that_is_a_little_ahead(tmp_path):
+    poses = along(CORNERS)
+    stamps = 1000 * SECOND + np.arange(len(poses)) * SECOND // 50
+    ahead = drive_along(poses, CORNERS, stamps=stamps + 3 * SECOND // 10)
+    wall = [item for item in drive_along(poses, CORNERS) if item[0] == "/cmd_vel"]
+    assert_driven(analysed(tmp_path, [*(item for item in ahead if item[0] != "/cmd_vel"), *wall]))
+
+
+def test_messages_that_were_held_up_set_no_time(tmp_path):
+    """Ten of the messages that came while the recorder hung are kept."""
+    messages = drive_along(along(CORNERS), CORNERS)
+    held = messages[401:421]
+    late = [(topic, 1006 * SECOND + at // 1000, message) for topic, at, message in held]
+    found = analysed(tmp_path, [*messages[:401], *late, *messages[603:]])
+    assert_driven(found)
+    assert not [note for note in found.notes if "time is set" in note]
 
 
 def test_simulated_time_may_begin_at_zero(tmp_path):
