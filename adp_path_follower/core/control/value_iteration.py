@@ -23,6 +23,8 @@ from adp_path_follower.core.control.value_grid import (
     PolarAxes,
     ValueGrid,
     half_angle_form,
+    half_angle_value,
+    last_axis_sum,
 )
 from adp_path_follower.core.control.virtual_target import MOST_LEAD
 from adp_path_follower.core.geometry import FloatArray, wrap_angle
@@ -172,7 +174,7 @@ class _Nodes:
         half = self._after(self._nodes, u, 0.5 * self._step)
         after = self._after(half, u, self._step)
         costs = self._cost(self._nodes) + 4.0 * self._cost(half) + self._cost(after)
-        effort = ((u @ self._input_cost) * u).sum(-1)
+        effort = last_axis_sum((u @ self._input_cost) * u)
         return after, self._step * (costs / 6.0 + effort)
 
     def _after(self, middle: FloatArray, u: FloatArray, time: FloatArray) -> FloatArray:
@@ -193,7 +195,7 @@ class _Nodes:
 
     def _cost(self, error: FloatArray) -> FloatArray:
         wrapped = _wrapped(error)
-        return np.asarray(((wrapped @ self._state_cost) * wrapped).sum(-1))
+        return last_axis_sum((wrapped @ self._state_cost) * wrapped)
 
 
 class _Layer(_Nodes):
@@ -218,9 +220,8 @@ class _Layer(_Nodes):
             if sweep % _POLICY_EVERY == 0:
                 tried = self._trials() if sweep < searched else []
                 kept = [self._descending(ratio, coefficients), *kept[-1:], *tried]
-                kept = [self._best(kept, coefficients)]
-                after, cost = self._moved(kept[-1])
-                place, base = self._axes.position(after)[0], self._form(after)
+                best, cost, base, place = self._best(kept, coefficients)
+                kept = [best]
             values = cost + base * _interpolated(coefficients, place) ** 2
             found = np.where(self._near, 1.0, np.sqrt(np.maximum(values, 0.0) / self._base))
             change = float(np.abs(found - ratio)[self._counted].mean())
@@ -231,21 +232,32 @@ class _Layer(_Nodes):
 
     def value(self, coefficients: FloatArray, error: FloatArray) -> FloatArray:
         """Return V of coefficients at errors (..., 3), shape (...)."""
-        place = self._axes.position(error)[0]
-        return np.asarray(self._form(error) * _interpolated(coefficients, place) ** 2)
+        base, place = self._placed(error)
+        return np.asarray(base * _interpolated(coefficients, place) ** 2)
 
-    def _form(self, error: FloatArray) -> FloatArray:
-        return np.maximum(half_angle_form(_wrapped(error), self._riccati)[0], 1e-9)
+    def _placed(self, error: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the form that rho^2 multiplies at errors (..., 3), and their places, (..., 3)."""
+        place, _ = self._axes.position(error)
+        return np.maximum(half_angle_value(_wrapped(error), self._riccati), 1e-9), place
 
-    def _best(self, inputs: list[FloatArray], coefficients: FloatArray) -> FloatArray:
-        """Return for each node the input with the least value after a step."""
-        best, least = inputs[0], np.full(self._base.shape, math.inf)
+    def _best(
+        self, inputs: list[FloatArray], coefficients: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return for each node the input with the least value after a step, and what it leads to.
+
+        That is the cost of the step, and form and place of where it ends.
+        """
+        values, costs, bases, places = [], [], [], []
         for u in inputs:
             after, cost = self._moved(u)
-            value = cost + self.value(coefficients, after)
-            better = value < least
-            best, least = np.where(better[..., None], u, best), np.minimum(value, least)
-        return best
+            base, place = self._placed(after)
+            values.append(cost + base * _interpolated(coefficients, place) ** 2)
+            costs.append(cost)
+            bases.append(base)
+            places.append(place)
+        best = np.argmin(values, axis=0)
+        u, place = (np.choose(best[..., None], parts) for parts in (inputs, places))
+        return u, np.choose(best, costs), np.choose(best, bases), place
 
     def _trials(self) -> list[FloatArray]:
         """Return inputs from limit to limit at the nodes, (..., 2) each."""
