@@ -149,8 +149,8 @@ def _carried_over(left: Left, new: Route) -> Place | None:
     """Return the last place on a route that is the same but for its ends, else None.
 
     They are the same if they are so about the last place. Where one can lie over the
-    other in several ways, as with laps, the longest common stretch counts. After the end of the old
-    route only one that goes on from there is the same.
+    other in several ways, as with laps, the longest common stretch counts, and that only one end is
+    another. After the end of the old route only one that goes on from there is the same.
     """
     old, last = left.route, left.place
     if old is new or old.digest() == new.digest():
@@ -170,7 +170,8 @@ def _carried_over(left: Left, new: Route) -> Place | None:
         shared = _shared(target.path, segment.path, last.arc_length, shift, _SAME)
         goes_on = item.place.along(new) < new.length - _SAME
         if shared > 0.0 and (goes_on or not left.done):
-            found.append((-shared, abs(shift), item.place))
+            grown = segment.path.length - target.path.length - shift
+            found.append((0.5 * min(abs(shift), abs(grown)) - shared, abs(shift), item.place))
     return min(found, key=lambda item: item[:2])[2] if found else None
 
 
