@@ -127,6 +127,10 @@ def test_results_plot_their_numbers_on_axes_that_are_given_or_new(tmp_path):
     np.testing.assert_array_equal(axes.lines[1].get_ydata(), simulated.trajectories.error[1, :, 1])
     run = adp.analyze(write_bag(tmp_path / "bag", drive_on_line(lambda time: 0.02)))
     assert np.allclose(run.plot().lines[1].get_ydata(), 0.02)
+    for axes in (simulated.plot(), run.plot()):
+        axes.figure.draw_without_rendering()
+        legend = axes.get_legend().get_window_extent()
+        assert legend.y0 >= axes.bbox.y1  # no curve is there
     plt.close("all")
     with pytest.raises(AdpError, match="record=True"):
         adp.simulate("line", starts=START, duration=0.1).plot()

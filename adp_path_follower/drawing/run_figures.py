@@ -101,8 +101,8 @@ def draw_errors(axes: Axes, time: FloatArray, error: FloatArray) -> None:
     """Draw e = [s, y, theta], shape (T, 3), over time [s], shape (T,)."""
     for column, label in enumerate(("s [m]", "y [m]", "θ [rad]")):
         axes.plot(time, error[:, column], color=COLORS[column], label=label)
-    axes.set(xlabel="time [s]", title="Errors to the virtual target")
-    axes.legend()
+    axes.set(xlabel="time [s]", ylabel="s, y [m]; θ [rad]")
+    _title_over_legend(axes, "Errors to the virtual target")
 
 
 def draw_track(axes: Axes, track: Track) -> None:
@@ -110,8 +110,14 @@ def draw_track(axes: Axes, track: Track) -> None:
     axes.plot(*track.path.T, color="0.75", linewidth=4, label="path")
     axes.plot(*track.position.T, color=COLORS[0], label="robot")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel="x [m]", ylabel="y [m]", title="Path and track")
-    axes.legend()
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+    _title_over_legend(axes, "Path and track")
+
+
+def _title_over_legend(axes: Axes, title: str) -> None:
+    """Set a title, and below it a legend that no curve can be under."""
+    axes.set_title(title, pad=26.0)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, borderaxespad=0.2)
 
 
 _EARLY = 15.0  # [s] that the left panels show
@@ -126,7 +132,7 @@ def draw_figures(
     """Draw the paper's figures into a directory, the optimum as circles; return the PNG files."""
     states = partial(
         _against_optimum,
-        "Errors to the virtual target",
+        ("Errors to the virtual target", "s, y [m]; θ [rad]"),
         ("s [m]", "y [m]", "θ [rad]"),
         view.time,
         view.error,
@@ -134,7 +140,7 @@ def draw_figures(
     )
     controls = partial(
         _against_optimum,
-        "Inputs beside the feedforward",
+        ("Inputs beside the feedforward", "v_e [m/s], ω_e [rad/s]"),
         ("v_e = v − v_ss [m/s]", "ω_e = ω − ω_ss [rad/s]"),
         view.time,
         view.modified_input,
@@ -205,7 +211,7 @@ def _path(view: RunView, optimum: ReferenceMotion | None, figure: Figure) -> Non
 
 
 def _against_optimum(
-    title: str,
+    texts: tuple[str, str],
     labels: tuple[str, ...],
     time: FloatArray,
     values: FloatArray,
@@ -223,7 +229,7 @@ def _against_optimum(
     if optimum is not None:
         early.plot([], [], color="0.3", label="offline optimum", **circles)
     early.set_xlim(0.0, min(_EARLY, float(time[-1])))
-    early.set_title(title)
+    early.set(title=texts[0], ylabel=texts[1])
     early.legend()
     whole.set_title("whole run (logarithmic beyond ±0.001)")
     # Later the errors are thousands of times smaller: a scale that shows both.
@@ -251,6 +257,7 @@ def _weights(view: RunView, figure: Figure) -> None:
             )
         axes.set_title(title)
         axes.set_xlabel("time [s]")
+    pair[0].set_ylabel("weight")
     if len(named) < len(view.labels):
         pair[1].plot([], [], color="0.75", label=f"{len(view.labels) - len(named)} others")
     pair[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="term of σ")
