@@ -49,7 +49,7 @@ def draw_cost(axes: Axes, found: Comparison) -> None:
         failures = int(outcome.failed.sum())
         if failures:
             axes.text(1.0, row, f"{failures} failed", ha="right", va="center", transform=beside)
-        axes.text(0.01, row + 0.22, outcome.name, transform=beside)  # beside them is no room
+        axes.text(0.01, row + 0.27, outcome.name, transform=beside)  # beside them is no room
     axes.set_yticks(range(len(ranked)), [])
     axes.set_ylim(-0.5, len(ranked) - 0.3)  # those of whom nothing is drawn, too
     _logarithmic(axes, x=any(np.isfinite(outcome.cost_ratio).any() for outcome in ranked))
