@@ -1,5 +1,6 @@
 """The documentation as a site: built strictly, searched and read without a server or a network."""
 
+import re
 import runpy
 import shutil
 import subprocess
@@ -45,6 +46,12 @@ def test_pages_fit_a_telephone_and_ask_for_nothing_and_the_search_finds(site):
         assert page.is_visible(result)
         browser.close()
     assert [url for url in asked if not url.startswith((site.as_uri(), "blob:"))] == []
+
+
+def test_a_code_block_ends_no_list(site):
+    """GitHub takes blocks by three spaces for a part of an item, the site by four only."""
+    for page in site.glob("*.html"):
+        assert not re.search(r"<p>\d+\. ", page.read_text(encoding="utf-8")), page.name
 
 
 def test_the_site_has_every_command_and_every_name_of_the_package(site):

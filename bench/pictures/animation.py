@@ -48,7 +48,7 @@ def poses() -> dict[str, FloatArray]:
 def animate(robots: dict[str, FloatArray], file: FilePath) -> None:
     """Draw all robots over the path, frame by frame."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 4.4), dpi=90, layout="constrained")
+        figure = Figure(figsize=(4.6, 4.8), dpi=90, layout="constrained")
         axes = figure.subplots()
         circle = adp.path(_PATH).points(0.05)[:, :2]
         axes.plot(*circle.T, color="0.85", linewidth=6)
@@ -62,7 +62,7 @@ def animate(robots: dict[str, FloatArray], file: FilePath) -> None:
         low, high = seen.min(axis=0) - 0.2, seen.max(axis=0) + 0.2
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal")
-        axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14))
 
         def frame(number: int) -> list:
             axes.set_title(
