@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from adp_path_follower.analysis.stamps import Clock, Timeline
+from adp_path_follower.bags.columns import Series
 from adp_path_follower.bags.reader import Run
 from adp_path_follower.bags.transforms import frame_name, read_transforms
 from adp_path_follower.core.errors import AdpError, FileError
@@ -21,6 +22,8 @@ from adp_path_follower.core.path.smoothing import Interpolation
 from adp_path_follower.core.settings.groups import PathSettings
 from adp_path_follower.study.replay.recorded_driver import RecordedRoutes
 
+_STOOD = 500_000_000  # [ns] for which a robot has stood that waits for a path, ...
+_STILL, _DROVE = 0.01, 0.1  # [m] ... moving less than this, and more before
 _SPACING = 0.02  # [m] of the places that poses are compared with
 _AS_DRAWN = 0.002  # [m] from the polyline that a path may be, and where there are ...
 _MANY, _OF_MANY = 20, 0.01  # ... more paths than this, as of a planner that plans all the time
@@ -115,10 +118,26 @@ def followed_routes(
         if frame not in moved:
             moved[frame] = _moved(bag, odometry, own, frame, notes)
         poses[rows] = moved[frame][rows]
+    earlier = _earlier_drive(odometry.series, int(clock.stamps(times)[0]))
+    if earlier:
+        poses[:earlier] = np.nan
+        notes.append(f"{earlier} poses of a drive before the path came are not compared with it")
     return Followed(
         tuple(route for _, route, _ in found), in_force, poses, (", ".join(frames), own),
         tuple(notes),
     )  # fmt: skip
+
+
+def _earlier_drive(odometry: Series, came: int) -> int:
+    """Return how many poses are from before a path came [ns] to a robot that had driven, and stood.
+
+    Zero if it was moving, for then it was following the path, which was recorded late.
+    """
+    before, still = np.searchsorted(odometry.stamp, [came, came - _STOOD])
+    places = odometry.values[:before, :2]
+    if still < 1 or before < 2 or np.ptp(places[still - 1 :], axis=0).max() > _STILL:
+        return 0
+    return int(before) if np.ptp(places, axis=0).max() > _DROVE else 0
 
 
 def _recorded(bag: FilePath, run: Run, notes: list[str]) -> list[tuple[int, Route, str]]:

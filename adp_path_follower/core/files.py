@@ -125,14 +125,16 @@ def read_csv_columns(
     """Return named columns of a CSV file in SI units, shape (rows, columns).
 
     Names may have a unit, as in x_m or "y [mm]". The header may begin with #, as comments before it
-    and below do; if it has semicolons, tabs or only spaces, they separate, and numbers may have a
-    decimal comma. One more column is the first of the optional ones that the file has, NaN without.
+    and below do, and lines may be blank; if it has semicolons, tabs or only spaces, they separate,
+    and numbers may have a decimal comma. One more column is the first of the optional ones that the
+    file has, NaN without.
+
     Raises FileError if the file is missing or empty, lacks a column or has it twice, or holds
     something that is not a number; the message names the line.
     """
     lines = read_text(file).splitlines()
     number = 0
-    while number < len(lines) - 1 and lines[number].lstrip().startswith("#"):
+    while number < len(lines) - 1 and lines[number].lstrip()[:1] in ("", "#"):
         if set(columns) <= {name for name, _ in _csv_header(lines[number])}:
             break
         number += 1

@@ -92,6 +92,25 @@ def test_a_path_that_is_sent_again_without_what_is_driven_is_the_same_one(tmp_pa
     assert_driven(analysed(tmp_path, messages))
 
 
+def test_a_drive_before_the_path_came_is_not_compared_with_it(tmp_path):
+    poses = along(CORNERS)
+    there = along([(-3.0, 2.0), (0.0, 2.0)])
+    stamps = 970 * SECOND + np.arange(len(there)) * SECOND // 50
+    earlier = [
+        (topic, at - 30 * SECOND, message)
+        for topic, at, message in drive_along(there, CORNERS, stamps=stamps)
+        if topic != "/path"
+    ]
+    stands = [
+        ("/odom", at, odometry(at, *poses[0]))
+        for at in range(990 * SECOND, 1000 * SECOND, SECOND // 50)
+    ]
+    found = analysed(tmp_path, [*earlier, *stands, *drive_along(poses, CORNERS)])
+    assert found.metrics["path_covered"] == pytest.approx(LENGTH, rel=0.01)
+    assert found.metrics["cross_track_max"] < 0.003
+    assert any("of a drive before the path came" in note for note in found.notes)
+
+
 def test_a_robot_that_never_was_near_its_path_is_told_of(tmp_path):
     away = np.add(along(CORNERS), [30.0, 0.0, 0.0])
     notes = analysed(tmp_path, drive_along(away, CORNERS)).notes

@@ -96,7 +96,7 @@ def test_the_route_says_by_how_much_its_poses_bend():
         "# made by hand\n# s_m; x_m; y_m; psi_rad\n0;0;0;0\n5; 5;0;0\n10;10;1;0\n",
         "X [cm],note,Y [cm]\n0,a,0\n500,b,0\n1000,c,100\n",
         'x_mm;"y_mm"\n0;0\n5000;0\n10000;1000\n',
-        "x,y\n0,0\n5,0\n10,1\n",
+        "\n\n# by hand\n\nx,y\n0,0\n5,0\n\n10,1\n",
     ],
 )
 def test_csv_files_are_read_as_they_come(tmp_path, text):
