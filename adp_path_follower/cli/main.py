@@ -6,7 +6,6 @@ import logging
 import os
 import sys
 from pathlib import Path as FilePath
-from typing import Any
 
 import click
 
@@ -31,27 +30,22 @@ _COMMANDS = {
     "sweep": "Simulate many settings on many starts, paths and robots, on all cores.",
     "tune": "Search for better settings by simulation, on all cores.",
 }
-_OF_BAGS = ("analyze", "identify", "recover", "replay")
+# Where a command is, if not in the module of its name.
+_HOMES = {name: f"bags.{name}" for name in ("analyze", "identify", "recover", "replay")}
+_HOMES |= {"docs": "main", "tune": "sweep"}
 
 
 class _LazyGroup(click.Group):
     """A group that lists its commands without importing them."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        _mark_examples(self)
-
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name == "docs":
-            _mark_examples(docs)
-            return docs
         if cmd_name not in _COMMANDS:
             return None
-        folder = "cli.bags" if cmd_name in _OF_BAGS else "cli"
-        module = importlib.import_module(f"adp_path_follower.{folder}.{cmd_name}")
+        home = _HOMES.get(cmd_name, cmd_name)
+        module = importlib.import_module(f"adp_path_follower.cli.{home}")
         command: click.Command = getattr(module, cmd_name)
         _mark_examples(command)
         return command
@@ -101,6 +95,9 @@ def adp(plugins: tuple[str, ...]) -> None:
         ]
         os.environ[PLUGINS] = ",".join([*given, os.environ.get(PLUGINS, "")])
         load_plugins()
+
+
+_mark_examples(adp)
 
 
 @click.command()

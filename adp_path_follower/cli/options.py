@@ -115,16 +115,14 @@ def given_topics(**topics: str | None) -> dict[str, str]:
     return {_TOPICS[name][0]: topic for name, topic in topics.items() if topic is not None}
 
 
-def path_option(command: Command) -> Command:
-    """Add --path."""
-    return click.option(
-        "--path",
-        "path_name",
-        default="lissajous",
-        show_default=True,
-        metavar="NAME|FILE",
-        help=f"Path to follow: {PATH_HELP}.",
-    )(command)
+path_option = click.option(
+    "--path",
+    "path_name",
+    default="lissajous",
+    show_default=True,
+    metavar="NAME|FILE",
+    help=f"Path to follow: {PATH_HELP}.",
+)
 
 
 def start_options(command: Command) -> Command:
@@ -191,16 +189,6 @@ def collect_starts(
         file = FORTY_STARTS if str(starts_file) == "forty" else starts_file
         errors = np.vstack([errors, read_starts(file)])
     return errors if len(errors) else np.array([PAPER_START])
-
-
-@contextlib.contextmanager
-def resumable() -> Iterator[None]:
-    """Say after an interrupt of the block that the same command resumes its work."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        click.echo("\nadp: finished work is kept; the same command resumes it", err=True)
-        raise
 
 
 @contextlib.contextmanager

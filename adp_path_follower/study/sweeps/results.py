@@ -17,7 +17,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import parameter_file_text
 from adp_path_follower.core.settings.schema import Value, flatten
 from adp_path_follower.study.sweeps.request.objectives import Score
-from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
+from adp_path_follower.study.sweeps.request.ranges import Listed, Range, Variation
 from adp_path_follower.study.sweeps.request.request import Request, Tuning
 from adp_path_follower.study.sweeps.study import baseline, refused, score_of, tried
 
@@ -147,8 +147,6 @@ def shown(value: Value) -> str:
 
 
 def _as_json(found: Results) -> dict[str, Any]:
-    """Return the results, ready for JSON."""
-
     def trial_json(trial: FrozenTrial) -> dict[str, Any]:
         score = asdict(score_of(trial))
         return {"trial": trial.number, "settings": found.values(trial), "score": score}
@@ -248,16 +246,13 @@ def _importance_lines(found: Results, best: FrozenTrial) -> list[str]:
     good = found.stable[: max(3, int(_BEST_SHARE * len(found.stable)))]
     rows = [("setting", "matters", "before", "found", "the best tenth has")]
     for item, share in found.importance.items():
-        rows.append(
-            (
-                item.name,
-                "–" if share is None else f"{100.0 * share:.0f} %",
-                shown(item.before(base[item.field.name])),
-                shown(values[item.name]),
-                _where(item, [item.value(trial.params[item.name]) for trial in good])
-                + ("  (at the end of its range: widen it?)" * item.is_at_end(values[item.name])),
-            )
-        )
+        best_value, theirs = values[item.name], [found.values(trial)[item.name] for trial in good]
+        where = _where(item, theirs)
+        if isinstance(item, Range) and item.is_at_end(best_value):
+            where += "  (at the end of its range: widen it?)"
+        matters = "–" if share is None else f"{100.0 * share:.0f} %"
+        before = shown(item.before(base[item.field.name]))
+        rows.append((item.name, matters, before, shown(best_value), where))
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     return [
         "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False))

@@ -1,14 +1,15 @@
 """The conditions of the runs: starts, paths, robots, noise and duration."""
 
+import contextlib
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 
 import numpy as np
 
-from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.files import expanded, read_csv_columns
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
@@ -23,7 +24,6 @@ from adp_path_follower.study.simulation.simulate import (
     PAPER_START,
     read_starts,
 )
-from adp_path_follower.study.sweeps.request.entries import errors_in, section
 from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
 from sim_unicycle.fault_script import FaultScript, without_nodes
 from sim_unicycle.settings import PlantSettings, simulator_settings
@@ -173,6 +173,23 @@ class Conditions:
         if not known:
             return np.full(len(self.starts), math.nan)
         return read_csv_columns(_COSTS, _PATHS)[:, _PATHS.index(name)]
+
+
+@contextlib.contextmanager
+def errors_in(place: str) -> Iterator[None]:
+    """Turn an AdpError of the block into a SettingsError that names its file or section first."""
+    try:
+        yield
+    except AdpError as error:
+        raise SettingsError(f"{place}: {error}") from None
+
+
+def section(entries: Mapping[str, object], name: str) -> dict[str, object]:
+    """Return an entry that holds entries itself, empty if missing; SettingsError if it is none."""
+    found = entries.get(name, {})
+    if not isinstance(found, Mapping):
+        raise SettingsError(f"'{name}' is {found!r}, but must be NAME: VALUE entries")
+    return {str(key): value for key, value in found.items()}
 
 
 def read_conditions(

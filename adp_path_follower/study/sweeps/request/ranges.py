@@ -18,7 +18,7 @@ from adp_path_follower.core.settings.schema import (
     unknown_name,
     yaml_text,
 )
-from adp_path_follower.study.sweeps.request.entries import errors_in
+from adp_path_follower.study.sweeps.request.conditions import errors_in
 
 OWN = "own"
 _AT_END = 0.02  # of a range: its end
@@ -54,10 +54,6 @@ class Listed:
     def before(self, value: Value) -> Value:
         """Return what is varied of a setting's value: all of it."""
         return value
-
-    def is_at_end(self, value: Value) -> bool:
-        """Return False: a list has no end."""
-        return False
 
 
 @dataclass(frozen=True)

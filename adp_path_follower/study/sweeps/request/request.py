@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from optuna.distributions import BaseDistribution
@@ -15,20 +15,24 @@ from scipy.stats import qmc
 
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import SettingsError
+from adp_path_follower.core.files import read_yaml
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import parse_assignment
-from adp_path_follower.core.settings.schema import Value, build, flatten, setting
+from adp_path_follower.core.settings.schema import (
+    Value,
+    build,
+    flatten,
+    setting,
+    setting_fields,
+)
+from adp_path_follower.resources import did_you_mean
 from adp_path_follower.study.sweeps.request.conditions import (
     CONDITION_ENTRIES,
     Conditions,
     RunSettings,
-    read_conditions,
-)
-from adp_path_follower.study.sweeps.request.entries import (
-    build_entries,
     errors_in,
-    read_entries,
+    read_conditions,
     section,
 )
 from adp_path_follower.study.sweeps.request.ranges import (
@@ -39,6 +43,8 @@ from adp_path_follower.study.sweeps.request.ranges import (
     read_variations,
     settings_values,
 )
+
+Tree = TypeVar("Tree")
 
 _OTHER_ENTRIES = (*CONDITION_ENTRIES, "settings")
 _MOST_RUNS = 100_000_000
@@ -211,11 +217,34 @@ class _TuneEntries:
     search: SearchSettings
 
 
+def _read_entries(file: FilePath) -> dict[str, object]:
+    """Return the NAME: VALUE entries of a YAML file; FileError or SettingsError if it has none."""
+    content = read_yaml(file)
+    if not isinstance(content, Mapping):
+        raise SettingsError(f"file {file} must hold NAME: VALUE entries (adp docs sweeps)")
+    return {str(name): value for name, value in content.items()}
+
+
+def _build_entries(tree: type[Tree], entries: Mapping[str, object]) -> Tree:
+    """Return the settings tree of a file's entries; SettingsError if one is wrong."""
+    fields = {field.name: field for field in setting_fields(tree)}
+    values: dict[str, object] = {}
+    for name, value in entries.items():
+        if name in fields:
+            single = fields[name].item_kind is str and isinstance(value, str)
+            values[name] = [value] if single else value
+        elif name not in _OTHER_ENTRIES:
+            raise SettingsError(
+                f"unknown entry '{name}'{did_you_mean(name, [*_OTHER_ENTRIES, *fields])}"
+            )
+    return build(tree, values)
+
+
 def read_sweep(file: FilePath) -> Sweep:
     """Return a file's sweep, every combination checked; AdpError names file, entry and remedy."""
-    entries = read_entries(file)
+    entries = _read_entries(file)
     with errors_in(f"file {file}"):
-        asked = build_entries(_SweepEntries, entries, _OTHER_ENTRIES)
+        asked = _build_entries(_SweepEntries, entries)
         conditions = read_conditions(entries, file.parent, asked.run)
         varied = read_variations(section(entries, "settings"), flatten(conditions.settings))
         listed = tuple(item for item in varied if isinstance(item, Listed))
@@ -242,7 +271,7 @@ def read_sweep(file: FilePath) -> Sweep:
 
 def read_tuning(file: FilePath) -> Tuning:
     """Return the tuning of a file; the AdpError of a wrong entry names file, entry and remedy."""
-    entries = read_entries(file)
+    entries = _read_entries(file)
     with errors_in(f"file {file}"):
         return _tuning(entries, file.parent)
 
@@ -272,7 +301,7 @@ def tuning_of_options(
 
 
 def _tuning(entries: Mapping[str, object], folder: FilePath) -> Tuning:
-    asked = build_entries(_TuneEntries, entries, _OTHER_ENTRIES)
+    asked = _build_entries(_TuneEntries, entries)
     conditions = read_conditions(entries, folder, asked.run)
     if "settings" in entries:
         varied = section(entries, "settings")

@@ -106,7 +106,6 @@ class PartsFolder(OutputFolder):
     """The folder of a sweep; each part in it is complete."""
 
     def __init__(self, directory: FilePath, sweep: Sweep) -> None:
-        """Open or make the folder of a sweep; raises FileError as `OutputFolder`."""
         super().__init__(directory, "sweep", sweep.description())
         self.sweep = sweep
         self.runs = directory / "runs"
