@@ -92,7 +92,10 @@ def replay(
     if republish:
         _republish(bag, run, rate)
         return
-    settings, overlay = _wanted(params, assignments)
+    # Settings that replace the recorded ones, or values that overlay them.
+    settings, overlay = None, dict(map(parse_assignment, assignments))
+    if params is not None:
+        settings, overlay = load_settings(Settings, "path_follower", params, assignments), {}
     changed = settings is not None or bool(overlay)
     name = datetime.now().strftime("adp_replay_%Y_%m_%d-%H_%M_%S")
     is_kept = directory is not None or closed_loop or changed or report
@@ -142,15 +145,6 @@ def _refuse_contradictions(republish: bool, closed_loop: bool) -> None:
             source = context.get_parameter_source(option.name or "")
             if applies and option.name in names and source is ParameterSource.COMMANDLINE:
                 raise AdpError(f"{reason}: not with {option.opts[0]}")
-
-
-def _wanted(
-    params: FilePath | None, assignments: tuple[str, ...]
-) -> tuple[Settings | None, dict[str, object]]:
-    """Return settings that replace the recorded ones, and values that overlay either."""
-    if params is not None:
-        return load_settings(Settings, "path_follower", params, assignments), {}
-    return None, dict(map(parse_assignment, assignments))
 
 
 def _republish(bag: FilePath, run: Run, rate: float) -> None:
@@ -216,7 +210,7 @@ def _write_report(
             analyses.append(analyse_bag(source.resolve(), names, 2, file, progress))
     write_report(analyses, [], directory / "report.html")
     click.echo(f"In {directory}: report.html, {replayed.name}/ (rosbag2, MCAP), trajectory_*.tum")
-    click.echo(outputs.page_address(directory / "report.html"))
+    click.echo((directory / "report.html").resolve().as_uri())
 
 
 def _report(run: Run, found: Replay, weights: ComparedWeights | None) -> str:
@@ -235,14 +229,7 @@ def _report(run: Run, found: Replay, weights: ComparedWeights | None) -> str:
     if len(weights.identical):
         count, total = int(weights.identical.sum()), len(weights.identical)
         lines.append(f"{count} of {total} sets of weights are, too")
-    if weights.first is not None:
-        first = weights.first
-        lines.append(
-            f"first difference of weights after {found.time[first.step]:.3f} s: {first.name} "
-            f"is recorded as {first.recorded:.6g}, replayed as {first.replayed:.6g}, "
-            f"{abs(first.replayed - first.recorded):.3g} apart"
-        )
-    lines += weights.notes
+    lines += [*filter(None, [weights.difference]), *weights.notes]
     if _differs(found, weights):
         lines.append(_cause(run, found))
     return "\n".join(lines)
@@ -265,7 +252,7 @@ def _cause(run: Run, found: Replay) -> str:
 
 def _differs(found: Replay, weights: ComparedWeights) -> bool:
     """Return whether any command or weight is another than the recorded one."""
-    return weights.first is not None or not found.identical[found.answered].all()
+    return bool(weights.difference) or not found.identical[found.answered].all()
 
 
 def _differences(found: Replay) -> list[str]:

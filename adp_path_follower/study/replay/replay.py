@@ -232,30 +232,20 @@ def view_of_replay(run: Run, replay: Replay) -> RunView:
 
 
 @dataclass(frozen=True)
-class WeightDifference:
-    """Where recorded and replayed weights first differ."""
-
-    step: int  # number of the control step
-    name: str  # weight that differs most in it, as "critic weight s²"
-    recorded: float  # in the bag
-    replayed: float  # in the replay
-
-
-@dataclass(frozen=True)
 class ComparedWeights:
     """How recorded and replayed weights compare."""
 
     # For each recorded set whether it comes out the same to the last bit, those of the critic
     # first, shape (N,); no rows where there is nothing to compare.
     identical: np.ndarray
-    first: WeightDifference | None  # the first difference, None without one
+    difference: str  # a sentence about the first one that differs, empty without one
     notes: tuple[str, ...]  # sentences about data that were not compared
 
 
 def compare_weights(run: Run, found: Replay) -> ComparedWeights:
     """Return how the weights in a run compare with those of its replay."""
     same: list[np.ndarray] = []
-    differences: list[WeightDifference] = []
+    differences: list[tuple[int, str]] = []  # step, and what differs most in it
     notes: list[str] = []
     for kind in _KINDS:
         recorded = run.series.get(f"{kind}_weights")
@@ -266,7 +256,7 @@ def compare_weights(run: Run, found: Replay) -> ComparedWeights:
         if columns != replayed.shape[1]:
             same.append(np.zeros(count, dtype=bool))
             name = f"number of {kind} weights"
-            differences.append(WeightDifference(0, name, columns, replayed.shape[1]))
+            differences.append((0, _apart(name, columns, replayed.shape[1])))
         elif count > len(replayed):
             notes.append(
                 f"the bag has {count} sets of {kind} weights for {len(replayed)} steps: not "
@@ -277,13 +267,26 @@ def compare_weights(run: Run, found: Replay) -> ComparedWeights:
             same.append(equal)
             if not equal.all():
                 row = int(np.argmin(equal))
-                step = int(steps[row])
-                differences.append(
-                    _difference(kind, step, recorded.labels, recorded.values[row], replayed[step])
-                )
-    first = min(differences, key=lambda item: item.step, default=None)
+                step, before = int(steps[row]), recorded.values[row]
+                with np.errstate(all="ignore"):  # a damaged message may hold anything
+                    place = int(np.argmax(np.abs(before - replayed[step])))  # a NaN before all
+                known = place < len(recorded.labels)
+                name = f"{kind} weight {recorded.labels[place] if known else place + 1}"
+                values = float(before[place]), float(replayed[step, place])
+                differences.append((step, _apart(name, *values)))
     identical = np.concatenate(same) if same else np.zeros(0, dtype=bool)
-    return ComparedWeights(identical, first, tuple(notes))
+    if not differences:
+        return ComparedWeights(identical, "", tuple(notes))
+    step, apart = min(differences, key=lambda item: item[0])
+    after = f"first difference of weights after {found.time[step]:.3f} s"
+    return ComparedWeights(identical, f"{after}: {apart}", tuple(notes))
+
+
+def _apart(name: str, recorded: float, replayed: float) -> str:
+    return (
+        f"{name} is recorded as {recorded:.6g}, replayed as {replayed:.6g}, "
+        f"{abs(replayed - recorded):.3g} apart"
+    )
 
 
 def _matched(
@@ -312,14 +315,3 @@ def _matched(
             steps[row], same[row] = fitting[-1], True
             following = fitting[-1] + 1
     return steps, same
-
-
-def _difference(
-    kind: str, step: int, labels: tuple[str, ...], recorded: FloatArray, replayed: FloatArray
-) -> WeightDifference:
-    with np.errstate(all="ignore"):  # a damaged message may hold anything
-        place = int(np.argmax(np.abs(recorded - replayed)))  # a NaN before all
-    name = labels[place] if place < len(labels) else str(place + 1)
-    return WeightDifference(
-        step, f"{kind} weight {name}", float(recorded[place]), float(replayed[place])
-    )

@@ -11,25 +11,20 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from adp_path_follower.bags.reader import messages_of
+from adp_path_follower.bags.topics import SERIES
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.messages.raw import stamped_numbers
 from adp_path_follower.study.replay.replay import Replay
 
+_NODE = "/path_follower"
+_NOT_TOLD = ("ground_truth", "robot_model")  # by a replay, of the series that a bag may have
 _KINDS = {
-    "/odom": "nav_msgs/msg/Odometry",
-    "/cmd_vel": "geometry_msgs/msg/TwistStamped",
-    "/path_follower/measured_pose": "geometry_msgs/msg/Vector3Stamped",
-    "/path_follower/measured_motion": "geometry_msgs/msg/Vector3Stamped",
-    "/path_follower/tracking_error": "geometry_msgs/msg/Vector3Stamped",
-    "/path_follower/target": "geometry_msgs/msg/PoseStamped",
-    "/path_follower/critic_weights": "std_msgs/msg/Float64MultiArray",
-    "/path_follower/actor_weights": "std_msgs/msg/Float64MultiArray",
-    "/path_follower/bellman_error": "std_msgs/msg/Float64",
-    "/path_follower/excitation": "std_msgs/msg/Float64",
-    "/path_follower/cost": "std_msgs/msg/Float64",
-    "/path_follower/configuration": "std_msgs/msg/String",
+    f"{'' if key in ('odom', 'cmd_vel') else _NODE}/{key}": kinds[0]
+    for key, kinds in SERIES.items()
+    if key not in _NOT_TOLD
 }
+_KINDS[f"{_NODE}/configuration"] = "std_msgs/msg/String"
 # Topics of the recorded run that stay as they are.
 _COPIED = {
     "odom": "nav_msgs/msg/Odometry",
@@ -88,27 +83,27 @@ def _replayed(found: Replay, velocity: FloatArray | None) -> Iterator[_Entry]:
         arrival = max(arrival, int(found.steps.arrival[step]))
         stamp, pose = int(found.steps.stamp[step]), found.steps.pose[step]
         if step in said:
-            yield arrival, "/path_follower/configuration", _bytes(store, "String", data=said[step])
+            yield arrival, f"{_NODE}/configuration", _bytes(store, "String", data=said[step])
         if velocity is not None:
             zeros = (0.0,) * 36  # the covariances
             motion = (*_pose(pose), *zeros, *_twist(velocity[step]), *zeros)
             yield arrival, "/odom", stamped_numbers(stamp, "odom", motion, "base_link")
         for topic, numbers in (
             ("/cmd_vel", _twist(output.command)),
-            ("/path_follower/measured_pose", pose),
-            ("/path_follower/measured_motion", found.steps.motion[step]),
-            ("/path_follower/tracking_error", output.error),
-            ("/path_follower/target", _pose(output.target_pose)),
+            (f"{_NODE}/measured_pose", pose),
+            (f"{_NODE}/measured_motion", found.steps.motion[step]),
+            (f"{_NODE}/tracking_error", output.error),
+            (f"{_NODE}/target", _pose(output.target_pose)),
         ):
             yield arrival, topic, stamped_numbers(stamp, "odom", numbers)
         for name, weights in (("critic", output.weights.critic), ("actor", output.weights.actor)):
-            yield arrival, f"/path_follower/{name}_weights", _array(store, label, weights)
+            yield arrival, f"{_NODE}/{name}_weights", _array(store, label, weights)
         for name, value in (
             ("bellman_error", output.bellman_error),
             ("excitation", output.excitation),
             ("cost", found.cost[step]),
         ):
-            yield arrival, f"/path_follower/{name}", _bytes(store, "Float64", data=float(value))
+            yield arrival, f"{_NODE}/{name}", _bytes(store, "Float64", data=float(value))
 
 
 def _pose(pose: FloatArray) -> tuple[float, ...]:

@@ -109,24 +109,26 @@ def test_weights_that_differ_in_one_bit_are_found(learned, rows):
     values = learned.series["critic_weights"].values[rows]
     found = replay(learned)
     same = compare_weights(with_critic(learned, rows, values), found)
-    assert (same.first, same.notes) == (None, ())
+    assert (same.difference, same.notes) == ("", ())
     assert len(same.identical) == len(rows) + 25
     changed = values.copy()
     changed[2, 4] = np.nextafter(values[2, 4], np.inf)
     other = compare_weights(with_critic(learned, rows, changed), found)
     assert np.flatnonzero(~other.identical).tolist() == [2]
-    assert other.first.step == rows[2]
-    assert other.first.name == f"critic weight {learned.series['critic_weights'].labels[4]}"
-    assert (other.first.recorded, other.first.replayed) == (changed[2, 4], values[2, 4])
+    label, before, after = learned.series["critic_weights"].labels[4], changed[2, 4], values[2, 4]
+    assert other.difference == (
+        f"first difference of weights after {found.time[rows[2]]:.3f} s: critic weight {label} is "
+        f"recorded as {before:.6g}, replayed as {after:.6g}, {before - after:.3g} apart"
+    )
 
 
 def test_weights_of_another_number_differ_and_too_many_are_not_compared(learned):
     series, found = learned.series["critic_weights"], replay(learned)
     fewer = compare_weights(with_critic(learned, np.arange(25), series.values[:, :3]), found)
-    assert (fewer.first.name, fewer.first.recorded) == ("number of critic weights", 3)
+    assert "number of critic weights is recorded as 3, replayed as" in fewer.difference
     rows = np.repeat(np.arange(25), 2)
     more = compare_weights(with_critic(learned, rows, series.values[rows]), found)
-    assert more.first is None
+    assert not more.difference
     assert len(more.identical) == 25  # the actor's
     assert more.notes[0].startswith("the bag has 50 sets of critic weights for 25 steps")
 
