@@ -22,8 +22,9 @@ from adp_path_follower.core.path.route import route_of
 from adp_path_follower.core.path.speed_profile import SpeedProfile, speed_from_rest
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.drawing.charts import ReferenceMotion
 from adp_path_follower.resources import FORTY_STARTS
+from adp_path_follower.study.optimum.collocation import OptimumSolver
+from adp_path_follower.study.optimum.problem import Motion
 from adp_path_follower.study.simulation.simulate import PAPER_START
 
 COST_HORIZON = 30.0  # [s] over which the cost of a run is compared
@@ -133,30 +134,19 @@ def _optimum(
     settings: Settings, path: Path, arc_length: float, error: FloatArray
 ) -> tuple[float, FloatArray | None, tuple[str, ...]]:
     """Return J* from a start and the motion it is of, or NaN and why it is not known."""
-    found = known_optimum(settings, path, arc_length, error)
-    if found is not None:
-        time, errors = found.time, found.error
-        speed = target_speed(errors, settings.target, settings.target.desired_speed)
-        places = arc_length + cumulative_trapezoid(speed, time, initial=0.0)
-        return found.cost, _poses(path, time, errors, places), ()
-    try:
-        from adp_path_follower.study.optimum.collocation import OptimumSolver
-
-        optimum = OptimumSolver(settings, path, arc_length, COST_HORIZON).solve(error)
-    except AdpError as problem:  # no CasADi, or no optimum found
-        return math.nan, None, (f"no J*: {problem}",)
-    motion = optimum.motion
-    return optimum.cost, _poses(path, motion.time, motion.state[:, :3], motion.state[:, 3]), ()
-
-
-def _poses(path: Path, time: FloatArray, errors: FloatArray, places: FloatArray) -> FloatArray:
-    """Return time and pose of a motion with errors (T, 3) to the target at arc lengths (T,)."""
-    return np.column_stack([time, pose_in_frame(errors, path.frame(places).pose)])
+    motion = known_optimum(settings, path, arc_length, error)
+    if motion is None:
+        try:
+            motion = OptimumSolver(settings, path, arc_length, COST_HORIZON).solve(error).motion
+        except AdpError as problem:  # no CasADi, or no optimum found
+            return math.nan, None, (f"no J*: {problem}",)
+    poses = pose_in_frame(motion.state[:, :3], path.frame(motion.state[:, 3]).pose)
+    return motion.cost, np.column_stack([motion.time, poses]), ()
 
 
 def known_optimum(
     settings: Settings, path: Path, arc_length: float, first_error: FloatArray
-) -> ReferenceMotion | None:
+) -> Motion | None:
     """Return the packaged optimum, of the paper's problem, if it is that from an error (3,) here.
 
     The error [s, y, theta] is that to the virtual target at `arc_length` [m].
@@ -176,4 +166,8 @@ def known_optimum(
         and np.allclose(place, [0.0, lissajous().length], atol=1e-3)
         and np.allclose(first_error, PAPER_START, atol=1e-6)
     )
-    return ReferenceMotion(float(content["cost"]), time, error, wanted) if same else None
+    if not same:
+        return None
+    speed = target_speed(error, settings.target, settings.target.desired_speed)
+    places = arc_length + cumulative_trapezoid(speed, time, initial=0.0)
+    return Motion(float(content["cost"]), time, np.column_stack([error, places]), wanted)

@@ -83,9 +83,9 @@ def demo(
     bag = _run(settings, simulator, path, path_name, duration, directory)
     page = _report(bag, directory, duration, time.monotonic() - started)
     if page is not None:
-        click.echo(outputs.page_address(page))
+        click.echo(page.resolve().as_uri())
         if open_page:
-            click.launch(outputs.page_address(page))
+            click.launch(page.resolve().as_uri())
 
 
 def _run(
@@ -141,6 +141,7 @@ def _report(
     from adp_path_follower.analysis.bag_analysis import metrics_table
     from adp_path_follower.analysis.costs import known_optimum
     from adp_path_follower.bags.reader import read_run
+    from adp_path_follower.drawing.charts import ReferenceMotion
     from adp_path_follower.drawing.run_figures import draw_figures
     from adp_path_follower.study.replay.replay import replay, view_of_replay
 
@@ -152,9 +153,10 @@ def _report(
         run = read_run(bag)
         replayed = replay(run)
         first, follower = replayed.outputs[0], replayed.follower
-        optimum = known_optimum(
-            follower.settings, follower.path, float(first.arc_length), first.error
-        )
+        best = known_optimum(follower.settings, follower.path, float(first.arc_length), first.error)
+        optimum = None
+        if best is not None:
+            optimum = ReferenceMotion(best.time, best.state[:, :3], best.modified_input)
         view = view_of_replay(run, replayed)
         draw_figures(view, directory / "figures", optimum)
         analysis = analysing.result()

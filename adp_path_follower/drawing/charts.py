@@ -104,14 +104,13 @@ class ShownRun:
 
     name: str
     charts: Charts
-    events: tuple[Event, ...] = ()
+    events: tuple[Event, ...]
 
 
 @dataclass(frozen=True)
 class ReferenceMotion:
     """An optimal motion that a run is compared with."""
 
-    cost: float  # J*
     time: FloatArray  # shape (N,) [s]
     error: FloatArray  # e = [s, y, theta], shape (N, 3)
     modified_input: FloatArray  # u = [v_e, w_e], shape (N, 2)

@@ -130,26 +130,11 @@ def draw_figures(
     view: RunView, directory: FilePath, optimum: ReferenceMotion | None = None
 ) -> list[FilePath]:
     """Draw the paper's figures into a directory, the optimum as circles; return the PNG files."""
-    states = partial(
-        _against_optimum,
-        ("Errors to the virtual target", "s, y [m]; θ [rad]"),
-        ("s [m]", "y [m]", "θ [rad]"),
-        view.time,
-        view.error,
-        None if optimum is None else (optimum.time, optimum.error),
-    )
-    controls = partial(
-        _against_optimum,
-        ("Inputs beside the feedforward", "v_e [m/s], ω_e [rad/s]"),
-        ("v_e = v − v_ss [m/s]", "ω_e = ω − ω_ss [rad/s]"),
-        view.time,
-        view.modified_input,
-        None if optimum is None else (optimum.time, optimum.modified_input),
-    )
+    against = partial(_against_optimum, view, optimum)
     drawings: Drawings = {
         "figure_2_path.png": ((9.0, 6.0), partial(_path, view, optimum)),
-        "figure_3_states.png": ((9.0, 4.5), states),
-        "figure_4_controls.png": ((9.0, 4.5), controls),
+        "figure_3_states.png": ((9.0, 4.5), partial(against, "error")),
+        "figure_4_controls.png": ((9.0, 4.5), partial(against, "modified_input")),
         "figure_5_weights.png": ((9.0, 4.5), partial(_weights, view)),
     }
     return save_figures(drawings, directory)
@@ -210,26 +195,35 @@ def _path(view: RunView, optimum: ReferenceMotion | None, figure: Figure) -> Non
     figure.tight_layout()
 
 
+# Column of `RunView` and `ReferenceMotion` -> title, label of the axis, and labels of the curves.
+_COLUMNS = {
+    "error": ("Errors to the virtual target", "s, y [m]; θ [rad]", ("s [m]", "y [m]", "θ [rad]")),
+    "modified_input": (
+        "Inputs beside the feedforward",
+        "v_e [m/s], ω_e [rad/s]",
+        ("v_e = v − v_ss [m/s]", "ω_e = ω − ω_ss [rad/s]"),
+    ),
+}
+
+
 def _against_optimum(
-    texts: tuple[str, str],
-    labels: tuple[str, ...],
-    time: FloatArray,
-    values: FloatArray,
-    optimum: tuple[FloatArray, FloatArray] | None,
-    figure: Figure,
+    view: RunView, optimum: ReferenceMotion | None, name: str, figure: Figure
 ) -> None:
-    """Draw columns over time: the first seconds on the left, the whole run on the right."""
+    """Draw a value over time: the first seconds on the left, the whole run on the right."""
     early, whole = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
+    title, axis, labels = _COLUMNS[name]
+    time, values = view.time, getattr(view, name)
     circles: dict[str, Any] = {"marker": "o", "linestyle": "none", "markerfacecolor": "none"}
     for column, label in enumerate(labels):
         for axes in (early, whole):
             axes.plot(time, values[:, column], color=COLORS[column], label=label)
         if optimum is not None:
-            early.plot(optimum[0], optimum[1][:, column], color=COLORS[column], **circles)
+            best = getattr(optimum, name)[:, column]
+            early.plot(optimum.time, best, color=COLORS[column], **circles)
     if optimum is not None:
         early.plot([], [], color="0.3", label="offline optimum", **circles)
     early.set_xlim(0.0, min(_EARLY, float(time[-1])))
-    early.set(title=texts[0], ylabel=texts[1])
+    early.set(title=title, ylabel=axis)
     early.legend()
     whole.set_title("whole run (logarithmic beyond ±0.001)")
     # Later the errors are thousands of times smaller: a scale that shows both.

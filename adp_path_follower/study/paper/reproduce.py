@@ -5,7 +5,7 @@ the printed constants meet the conditions of the paper's own stability theorem?
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
@@ -29,6 +29,7 @@ from adp_path_follower.drawing.run_figures import Drawings, draw_figures, save_f
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.optimum.collocation import OptimumSolver
 from adp_path_follower.study.optimum.costate import solve_costates
+from adp_path_follower.study.optimum.problem import Motion
 from adp_path_follower.study.simulation.simulate import PAPER_START, simulate
 from adp_path_follower.study.simulation.trajectories import Trajectories
 
@@ -81,7 +82,7 @@ class Reproduction:
     """Everything that `reproduce` finds."""
 
     path: Path  # the paper's figure eight
-    optimum: ReferenceMotion  # the offline optimum
+    optimum: Motion  # the offline optimum
     runs: tuple[PaperRun, ...]  # the initial weights without learning, then each grid
     shipped: PaperRun  # the one of them with the grid of config/paper.yaml
     long_runs: tuple[PaperRun, ...]  # each grid, for long
@@ -94,8 +95,7 @@ def reproduce(
     """Run the paper's simulation with each grid and for long [s], the optimum and the theorem."""
     printed = load_settings(Settings, "path_follower", config_file("paper.yaml"))
     path = lissajous()
-    solver = OptimumSolver(printed, path, horizon=DURATION)
-    optimum = _reference(solver, path)
+    optimum = OptimumSolver(printed, path, horizon=DURATION).solve(np.array(PAPER_START)).motion
     choices: list[tuple[str, Settings, str]] = [("initial weights, no learning", printed, "frozen")]
     for grid in GRIDS:
         name = f"grid {', '.join(f'{width:g}' for width in grid)}"
@@ -118,19 +118,6 @@ def reproduce(
     )
 
 
-def _reference(solver: OptimumSolver, path: Path) -> ReferenceMotion:
-    found = solver.solve(np.array(PAPER_START))
-    error = found.motion.state[:, :3]
-    frame = path.frame(found.motion.state[:, 3])
-    return ReferenceMotion(
-        cost=found.cost,
-        time=found.motion.time,
-        error=error,
-        modified_input=found.motion.modified_input,
-        position=pose_in_frame(error, frame.pose)[:, :2],
-    )
-
-
 def _run(
     name: str,
     settings: Settings,
@@ -138,7 +125,7 @@ def _run(
     learning: str,
     duration: float,
     rate: float,
-    optimum: ReferenceMotion,
+    optimum: Motion,
 ) -> PaperRun:
     result = simulate(settings, path, duration=duration, rate=rate, learning=learning, record=True)
     assert result.trajectories is not None  # record=True
@@ -154,7 +141,7 @@ def _run(
         name=name,
         settings=settings,
         cost=float(result.cost[0]),
-        state_distance=distance(found.error, optimum.error),
+        state_distance=distance(found.error, optimum.state[:, :3]),
         input_distance=distance(found.modified_input, optimum.modified_input),
         trajectories=found,
     )
@@ -225,7 +212,7 @@ def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
         actor_weights=run.actor_weights[0],
         labels=labels,
     )
-    files = draw_figures(view, directory, _thinned(found.optimum))
+    files = draw_figures(view, directory, _thinned(found.optimum, found.path))
     drawings: Drawings = {
         "long_run.png": ((5.0, 5.0), partial(_long_run, found.long_runs, labels)),
         "excitation.png": ((5.0, 3.6), partial(_excitation, found.theorem)),
@@ -235,18 +222,13 @@ def draw_paper(found: Reproduction, directory: FilePath) -> list[FilePath]:
     return files + save_figures(drawings, directory)
 
 
-def _thinned(optimum: ReferenceMotion) -> ReferenceMotion:
+def _thinned(optimum: Motion, path: Path) -> ReferenceMotion:
     """Return the collocation points that follow one another by a period or more."""
     every = np.arange(0.0, optimum.time[-1], _CIRCLE_PERIOD)
     kept = np.unique(np.searchsorted(optimum.time, every))
-    assert optimum.position is not None  # `_reference` gives it
-    return replace(
-        optimum,
-        time=optimum.time[kept],
-        error=optimum.error[kept],
-        modified_input=optimum.modified_input[kept],
-        position=optimum.position[kept],
-    )
+    error, place = optimum.state[kept, :3], optimum.state[kept, 3]
+    position = pose_in_frame(error, path.frame(place).pose)[:, :2]
+    return ReferenceMotion(optimum.time[kept], error, optimum.modified_input[kept], position)
 
 
 # A legend above its axes, on no curve.
