@@ -1,11 +1,9 @@
 """`adp compare`: the controller beside its peers."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
@@ -13,19 +11,18 @@ import numpy as np
 from adp_path_follower.cli import options, outputs
 from adp_path_follower.core.files import output_to
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.robot import ROBOT_MODELS
+from adp_path_follower.drawing.page import Table, write_runs_page
 from adp_path_follower.extras import is_installed
+from adp_path_follower.study.comparison.compare import Comparison, Outcome
+from adp_path_follower.study.comparison.compare import compare as run_comparison
 from adp_path_follower.study.comparison.controllers import PEERS, known_controllers
 from adp_path_follower.study.simulation.simulate import read_starts
 from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import SimulatorSettings
-
-if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
-    from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 # Column -> width and digits in the text, and digits in the race's table.
 _COLUMNS = {"J/J*, median": (9, 4, 4), "95 %": (9, 4, 4), "max": (9, 4, 4), "failed": (8, 0, 0)}
@@ -107,41 +104,33 @@ def compare(
         # A robot's model drives one run at a time, which takes long.
         errors = read_starts()[:: 5 if any("+" in name for name in names) else 1]
     paths = {name: named_path(name, settings.path) for name in path_names or ("lissajous",)}
-    problems = []
+    found: list[Comparison] = []
     with outputs.output_directory(directory, keep=True):
-        problems = _compare_on(
-            paths,
-            directory,
-            settings=settings,
-            starts=errors,
-            names=names,
-            start_arc_length=start_arc_length,
-            duration=duration,
-            plant=plant,
-            faults=faults,
-        )
+        for name, path in paths.items():
+            with options.progress_bar(f"{len(names)} controllers on {name}") as progress:
+                item = run_comparison(
+                    settings,
+                    name,
+                    path,
+                    errors,
+                    names,
+                    start_arc_length=start_arc_length,
+                    duration=duration,
+                    plant=plant,
+                    faults=faults,
+                    progress=progress,
+                )
+            found.append(item)
+            click.echo(_table(item) + "\n")
+            for problem in item.problems:
+                click.echo(f"adp: {problem}", err=True)
+            # After each path, so that what was found stays if a later one is interrupted.
+            figures = directory if len(paths) == 1 else directory / f"path_{len(found)}"
+            _write(found, settings, directory, figures)
     click.echo(f"In {directory}: compare.txt, compare.json, race.html and the figures")
     for page in sorted(directory.rglob("race.html")):
-        click.echo(outputs.page_address(page))
-    sys.exit(1 if problems else 0)
-
-
-def _compare_on(paths: dict[str, Path], directory: FilePath, **common: Any) -> list[str]:
-    """Compare on each path, and say and write what was found; return what went wrong."""
-    from adp_path_follower.study.comparison.compare import compare as run_comparison
-
-    found: list[Comparison] = []
-    for name, path in paths.items():
-        with options.progress_bar(f"{len(common['names'])} controllers on {name}") as progress:
-            item = run_comparison(path_name=name, path=path, progress=progress, **common)
-        found.append(item)
-        click.echo(_table(item) + "\n")
-        for problem in item.problems:
-            click.echo(f"adp: {problem}", err=True)
-        # After each path, so that what was found stays if a later one is interrupted.
-        figures = directory if len(paths) == 1 else directory / f"path_{len(found)}"
-        _write(found, common["settings"], directory, figures)
-    return [problem for item in found for problem in item.problems]
+        click.echo(page.resolve().as_uri())
+    sys.exit(1 if any(item.problems for item in found) else 0)
 
 
 def _table(found: Comparison) -> str:
@@ -161,7 +150,6 @@ def _table(found: Comparison) -> str:
 
 
 def _line(item: Outcome) -> str:
-    """Return the table's line of one controller."""
     values = _columns(item)
     numbers = zip(values[3:], [*_COLUMNS.values()][3:], strict=True)
     cells = [*map(_ratio, values[:3]), *(_number(value, *form[:2]) for value, form in numbers)]
@@ -223,8 +211,6 @@ def _write(
 
 def _write_race(found: Comparison, settings: Settings, file: FilePath) -> None:
     """Write the page on which all controllers start together."""
-    from adp_path_follower.drawing.page import Table, write_runs_page
-
     ranked = sorted(found.outcomes, key=_rank)
     rows = []
     for item in ranked:

@@ -1,11 +1,9 @@
 """`adp optimum`: the offline optimum."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
@@ -19,13 +17,12 @@ from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import config_file
+from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
+from adp_path_follower.study.optimum.costate import solve_costates
+from adp_path_follower.study.optimum.problem import Motion, OptimumError, motions_of
 from adp_path_follower.study.simulation.simulate import simulate
 from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import SimulatorSettings
-
-if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
-    from adp_path_follower.study.optimum.collocation import Optimum
-    from adp_path_follower.study.optimum.problem import Motion
 
 _DRAWN = ("s [m]", "y [m]", "θ [rad]", "v_e [m/s]", "ω_e [rad/s]")
 _AGREEMENT = 1e-5  # relative difference between collocation and costates
@@ -90,10 +87,6 @@ def optimum(
     Exit code 1 if a start has no converged optimum, J* changes with the horizon by more than 1e-4
     of itself, or --check differs by more than 1e-5; it is named, the others are still written.
     """
-    from adp_path_follower.study.optimum.collocation import OptimumSolver
-    from adp_path_follower.study.optimum.costate import solve_costates
-    from adp_path_follower.study.optimum.problem import OptimumError
-
     settings = load_settings(
         Settings, "path_follower", params or config_file("paper.yaml"), assignments
     )
@@ -132,25 +125,21 @@ def _ways(
     settings: Settings, path: Path, errors: FloatArray, start_arc_length: float, horizon: float
 ) -> list[list[Motion]]:
     """Return the controller's own motion from each start (B, 3), as a guess for the optimum."""
-    from adp_path_follower.study.optimum.problem import motions_of
-
-    ways: list[list[Motion]] = [[] for _ in errors]
-    known = np.flatnonzero(np.isfinite(errors).all(axis=1)).tolist()
-    if known:
-        found = simulate(
-            without_values(settings) if missing_values(settings) else settings,
-            path,
-            errors[known],
-            start_arc_length=start_arc_length,
-            duration=horizon,
-            rate=50.0,
-            learning="frozen",
-            record=True,
-            record_weights=False,
-        )
-        for start, motions in zip(known, motions_of(found.trajectories), strict=True):
-            ways[start] = motions
-    return ways
+    known = np.asarray(np.isfinite(errors).all(axis=1))
+    if not known.any():
+        return [[] for _ in errors]
+    found = simulate(
+        without_values(settings) if missing_values(settings) else settings,
+        path,
+        errors[known],
+        start_arc_length=start_arc_length,
+        duration=horizon,
+        rate=50.0,
+        learning="frozen",
+        record=True,
+        record_weights=False,
+    )
+    return motions_of(found.trajectories, known)
 
 
 def _doubt(found: Optimum, check_cost: float | None, start: FloatArray) -> str:
@@ -212,7 +201,7 @@ def _table(rows: list[_Row], check: bool) -> str:
         if row.check_cost is not None:
             line += f"{row.check_cost / found.cost - 1.0:+14.1e}"
         lines.append(line)
-        if found.has_local_optima:
+        if found.local_optima:
             notes.append(f"from {row.start.tolist()} {found.local_optima}")
     return "\n".join([*lines, *notes])
 

@@ -40,7 +40,7 @@ def main() -> int:
         costs = np.array([item.cost for item in found])
         apart = float(np.abs(costs / reference[key]["costs"] - 1.0).max())
         change = max(item.horizon_change for item in found)
-        several = sum(item.has_local_optima for item in found)
+        several = sum(bool(item.local_optima) for item in found)
         print(
             f"{name:>10}: J* within {apart:.1e} of the reference, within {change:.1e} of that of a "
             f"longer horizon; {several} starts with several optima"

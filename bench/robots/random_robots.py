@@ -38,13 +38,12 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.comparison.controllers import ControllerFactory
-from adp_path_follower.study.comparison.peers.lapierre_soetanto import TunedLapierreSoetanto
-from adp_path_follower.study.comparison.peers.lqr import Lqr
-from adp_path_follower.study.comparison.peers.pure_pursuit import (
+from adp_path_follower.study.comparison.peers.error_laws import Lqr, TunedLapierreSoetanto
+from adp_path_follower.study.comparison.peers.steering import (
     PurePursuit,
     TunedRegulatedPurePursuit,
+    TunedStanley,
 )
-from adp_path_follower.study.comparison.peers.stanley import TunedStanley
 
 PEERS: dict[str, ControllerFactory] = {
     **{

@@ -16,8 +16,8 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.learning import OWN_FAR_POLICIES
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.study.comparison.controllers import OWN_PEERS, contenders, known_controllers
-from adp_path_follower.study.comparison.peers.lqr import Lqr
+from adp_path_follower.study.comparison.controllers import OWN_PEERS, contender, known_controllers
+from adp_path_follower.study.comparison.peers.error_laws import Lqr
 from folders import ROOT
 
 
@@ -161,7 +161,7 @@ def test_a_wrong_far_policy_is_rejected_with_what_is_wrong(policy, text):
 def test_an_own_peer_is_named_and_compared():
     adp.register_peer("mine", Lqr, "A law of mine", control_rate=50.0)
     assert known_controllers()["mine"] == "A law of mine"
-    (found,) = contenders(build(Settings, {}), ["mine"])
+    found = contender("mine", build(Settings, {}))
     assert (found.name, found.rate, found.factory) == ("mine", 50.0, Lqr)
 
 

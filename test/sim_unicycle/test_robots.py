@@ -17,7 +17,7 @@ from adp_path_follower.core.robot.model import RobotState, advanced
 from adp_path_follower.core.robot.robot import model_of, settings_of
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
-from adp_path_follower.study.comparison.controllers import contenders
+from adp_path_follower.study.comparison.controllers import contender
 from adp_path_follower.study.simulation.simulate import simulate
 from folders import CONFIG
 from sim_unicycle.fault_script import without_nodes
@@ -154,9 +154,12 @@ def test_each_controller_is_asked_for_with_a_model_of_its_robot():
     model = simulator_settings({"robot": "late"}).plant.model
     settings = build(Settings, {"robot_model": "learned"})
     names = ["adp", "lqr", "lqr+learned", "paper", "paper+given"]
-    found = {item.name: item.settings.robot.robot_model for item in contenders(settings, names)}
+    found = {
+        item.name: item.settings.robot.robot_model
+        for item in [contender(name, settings) for name in names]
+    }
     assert found == dict(zip(names, ["learned", "ideal", "learned", "ideal", "given"], strict=True))
-    (given,) = contenders(settings, ["stanley+given"], model)
+    given = contender("stanley+given", settings, model)
     assert model_of(given.settings) == model
     with pytest.raises(AdpError, match=r"'lqr.true' has the robot model 'true', but must have one"):
-        contenders(settings, ["lqr+true"])
+        contender("lqr+true", settings)

@@ -17,7 +17,7 @@ from adp_path_follower.core.path.speed_profile import SpeedReference, passing_ti
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import update
 from adp_path_follower.drawing.charts import ShownRun
-from adp_path_follower.study.comparison.controllers import RATE, Contender, contenders
+from adp_path_follower.study.comparison.controllers import RATE, Contender, contender
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
 from adp_path_follower.study.optimum.problem import Motion, OptimumError, motions_of
 from adp_path_follower.study.simulation.shown import shown_run
@@ -146,7 +146,7 @@ def compare(
     # The first command of all, and of J*, may be what accelerations allow in the same period.
     settings = update(settings, {"controller_frequency": RATE})
     robot = plant or PlantSettings()
-    chosen = contenders(settings, names, robot.model)
+    chosen = [contender(name, settings, robot.model) for name in names]
     known = np.asarray(np.isfinite(starts).all(axis=1))
     if not known.any():
         raise AdpError("starts must be finite values s, y, theta, three for each start")
@@ -178,10 +178,8 @@ def compare(
         many = run(starts[known], duration=duration, record_weights=False, progress=part(2 * index))
         single = run(duration=lap, progress=part(2 * index + 1))
         outcomes.append(_outcome(item, path, known, many, single, among))
-        for start, motions in zip(
-            np.flatnonzero(known), motions_of(many.trajectories), strict=True
-        ):
-            ways[start] += motions
+        for own, motions in zip(ways, motions_of(many.trajectories, known), strict=True):
+            own += motions
     pushed = any(robot.push) or (faults is not None and faults.entries)  # which may help
     costs = np.zeros((0, count)) if pushed else np.array([item.cost for item in outcomes])
     optima, problems = _optima(solver, starts, ways, costs, part(2 * among, 2))
@@ -253,7 +251,7 @@ def _notes(
 ) -> tuple[str, ...]:
     notes = []
     for start, optimum in zip(starts, optima, strict=True):
-        if optimum is not None and optimum.has_local_optima:
+        if optimum is not None and optimum.local_optima:
             notes.append(f"from {start.tolist()} {optimum.local_optima}")
     changes = [optimum.horizon_change for optimum in optima if optimum and not optimum.settled]
     if changes:

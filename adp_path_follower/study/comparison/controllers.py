@@ -7,8 +7,7 @@ start, v_des = 0.5 m/s, no limits.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -22,15 +21,9 @@ from adp_path_follower.core.robot.robot import settings_of
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.robot import ROBOT_MODELS
-from adp_path_follower.core.settings.schema import build, flatten, setting_fields, update
+from adp_path_follower.core.settings.schema import build, update
 from adp_path_follower.resources import config_file
-from adp_path_follower.study.comparison.peers import (
-    lapierre_soetanto,
-    lqr,
-    nmpc,
-    pure_pursuit,
-    stanley,
-)
+from adp_path_follower.study.comparison.peers import error_laws, nmpc, steering
 from adp_path_follower.study.simulation.simulate import ControllerFactory
 
 
@@ -44,34 +37,35 @@ class Peer:
 
 
 PEERS = {  # by their names in tables and on the command line
-    "pure_pursuit": Peer("Pure pursuit (Coulter 1992), look-ahead 1 m", pure_pursuit.PurePursuit),
+    "pure_pursuit": Peer("Pure pursuit (Coulter 1992), look-ahead 1 m", steering.PurePursuit),
     "pure_pursuit_tuned": Peer(
-        "Pure pursuit (Coulter 1992), look-ahead tuned: 0.6 m", pure_pursuit.TunedPurePursuit
+        "Pure pursuit (Coulter 1992), look-ahead tuned: 0.6 m", steering.TunedPurePursuit
     ),
     "regulated_pure_pursuit": Peer(
         "Regulated pure pursuit (Macenski et al. 2023) with Nav2's defaults, without a costmap",
-        pure_pursuit.RegulatedPurePursuit,
+        steering.RegulatedPurePursuit,
     ),
     "regulated_pure_pursuit_tuned": Peer(
         "Regulated pure pursuit (Macenski et al. 2023), look-ahead by speed and slowing down tuned",
-        pure_pursuit.TunedRegulatedPurePursuit,
+        steering.TunedRegulatedPurePursuit,
     ),
-    "stanley": Peer("Stanley's law (Hoffmann et al. 2007) on a virtual bicycle", stanley.Stanley),
+    "stanley": Peer("Stanley's law (Hoffmann et al. 2007) on a virtual bicycle", steering.Stanley),
     "stanley_tuned": Peer(
         "Stanley's law (Hoffmann et al. 2007) at the robot, with curvature feed-forward, tuned",
-        stanley.TunedStanley,
+        steering.TunedStanley,
     ),
     "lapierre_soetanto": Peer(
         "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at v = v_des",
-        lapierre_soetanto.LapierreSoetanto,
+        error_laws.LapierreSoetanto,
     ),
     "lapierre_soetanto_tuned": Peer(
         "Nonlinear law with a virtual target (Lapierre, Soetanto, Pascoal 2003) at "
         "v = v_des - k s, tuned",
-        lapierre_soetanto.TunedLapierreSoetanto,
+        error_laws.TunedLapierreSoetanto,
     ),
     "lqr": Peer(
-        "Linear-quadratic regulator scheduled by curvature, with the true input matrix", lqr.Lqr
+        "Linear-quadratic regulator scheduled by curvature, with the true input matrix",
+        error_laws.Lqr,
     ),
     "nmpc": Peer(
         "Nonlinear model predictive control over 3 s (CasADi), with the curvature ahead",
@@ -120,9 +114,10 @@ def register_peer(
             raise AdpError(
                 f"peer '{name}' has no '{member}': it needs settings, path and step(pose, dt)"
             )
-    output = controller.step(np.full((2, 3), 0.1), 0.0)
+    poses, known = np.full((2, 3), 0.1), steering.PurePursuit(controller.settings, path, [0, 0])
+    output, expected = controller.step(poses, 0.0), known.step(poses, 0.0)
     for item in fields(ControlOutput):
-        shape = (2, *_SHAPES[item.name])
+        shape = np.shape(getattr(expected, item.name))
         found = np.asarray(getattr(output, item.name, math.nan))
         if found.shape != shape or not np.isfinite(found.astype(float)).all():
             raise AdpError(
@@ -130,17 +125,6 @@ def register_peer(
                 f"{found.shape}, but must be finite and of shape {shape}"
             )
     OWN_PEERS.register(name, Peer(description, factory, control_rate))
-
-
-# Shapes of one robot's numbers in `ControlOutput`.
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "command": (2,),
-    "modified_input": (2,),
-    "error": (3,),
-    "target_pose": (3,),
-    "arc_length": (),
-    "curvature": (),
-}
 
 
 def known_controllers() -> dict[str, str]:
@@ -161,18 +145,12 @@ class Contender:
     rate: float  # control steps per second [Hz]
 
 
-def contenders(
-    settings: Settings, names: Sequence[str], model: RobotModel = IDEAL
-) -> list[Contender]:
-    """Return the controllers of these names; raise AdpError for an unknown one.
+def contender(name: str, settings: Settings, model: RobotModel = IDEAL) -> Contender:
+    """Return the controller of a name; raise AdpError for an unknown one.
 
     NAME+ideal, NAME+learned and NAME+given drive on our estimator with that `robot_model`, of which
     `model` is the given one. By the plain name only adp and adp_cold take the settings' own.
     """
-    return [_contender(name, settings, model) for name in names]
-
-
-def _contender(name: str, settings: Settings, model: RobotModel) -> Contender:
     controller, plus, kind = name.partition("+")
     if plus and kind not in ROBOT_MODELS:
         raise AdpError(
@@ -197,12 +175,11 @@ def _contender(name: str, settings: Settings, model: RobotModel) -> Contender:
 
 def _paper_laws(settings: Settings) -> Settings:
     """Return the paper's learner for the target, cost and limits of other settings."""
-    printed = flatten(load_settings(Settings, "path_follower", config_file("paper.yaml")))
-    task = flatten(settings)
-    groups = {field.name: field.group for field in setting_fields(Settings)}
-    kept = {
-        name: value
-        for name, value in task.items()
-        if groups[name] in ("target", "cost", "limits", "motion", "robot")
-    }
-    return build(Settings, {**printed, **kept})
+    return replace(
+        load_settings(Settings, "path_follower", config_file("paper.yaml")),
+        target=settings.target,
+        cost=settings.cost,
+        limits=settings.limits,
+        motion=settings.motion,
+        robot=settings.robot,
+    )

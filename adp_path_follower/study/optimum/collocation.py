@@ -74,13 +74,10 @@ class Optimum:
         return self.motion.cost
 
     @property
-    def has_local_optima(self) -> bool:
-        """Return whether starting guesses led to different motions."""
-        return self.guesses[-1] > self.guesses[0] * (1.0 + 1e-4) + 1e-9
-
-    @property
     def local_optima(self) -> str:
-        """Return what there is to say about starting guesses that led to different motions."""
+        """Return a sentence about guesses that led to different motions, empty if none did."""
+        if self.guesses[-1] <= self.guesses[0] * (1.0 + 1e-4) + 1e-9:
+            return ""
         costs = ", ".join(f"{cost:.6g}" for cost in self.guesses)
         return f"the starting guesses led to different local optima: {costs}; the best counts"
 

@@ -286,19 +286,19 @@ def _windings(start: FloatArray) -> list[FloatArray]:
     return [np.array([start[0], start[1], turn]) for turn in turns]
 
 
-def motions_of(runs: Trajectories | None) -> list[list[Motion]]:
-    """Return the motion of each recorded run as a guess for the optimum; none of one that is lost.
+def motions_of(runs: Trajectories | None, known: np.ndarray) -> list[list[Motion]]:
+    """Return the motion from each of N starts as a guess for the optimum; none of one that is lost.
 
-    The heading error ends within half a turn of 0.
+    `runs` are recorded from the starts that are `known` (N,). The heading error ends within half a
+    turn of 0.
     """
     assert runs is not None  # simulated with record=True
-    found: list[list[Motion]] = []
-    for error, place, inputs in zip(runs.error, runs.arc_length, runs.modified_input, strict=True):
+    found: list[list[Motion]] = [[] for _ in known]
+    of_each = zip(runs.error, runs.arc_length, runs.modified_input, strict=True)
+    for start, (error, place, inputs) in zip(np.flatnonzero(known), of_each, strict=True):
         state = np.column_stack([error, place])
         if np.isfinite(state).all() and np.isfinite(inputs).all():
             heading = np.unwrap(error[:, 2])
             state[:, 2] = heading - 2.0 * math.pi * round(heading[-1] / (2.0 * math.pi))
-            found.append([Motion(math.inf, runs.time, state, inputs)])
-        else:
-            found.append([])
+            found[start].append(Motion(math.inf, runs.time, state, inputs))
     return found

@@ -21,7 +21,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.comparison import compare as comparison
 from adp_path_follower.study.comparison.compare import Comparison, Outcome, compare
-from adp_path_follower.study.comparison.controllers import CONTROLLERS, Contender, contenders
+from adp_path_follower.study.comparison.controllers import CONTROLLERS, Contender, contender
 from adp_path_follower.study.comparison.figures import draw_comparison
 from adp_path_follower.study.simulation.simulate import simulate
 from commands import adp
@@ -56,9 +56,8 @@ def test_optima_are_those_of_the_reference(found):
 
 
 def test_costs_are_those_of_a_simulation_of_the_same_controller(found):
-    for item, outcome in zip(
-        contenders(build(Settings, UNLIMITED), ["adp", "lqr"]), found.outcomes, strict=False
-    ):
+    for name, outcome in zip(("adp", "lqr"), found.outcomes, strict=False):
+        item = contender(name, build(Settings, UNLIMITED))
         result = simulate(
             item.settings,
             circle(1.0),
@@ -107,7 +106,7 @@ def test_nobody_is_better_where_the_speed_varies_along_the_path(monkeypatch, lim
 @pytest.mark.parametrize("setting", ["max_lateral_accel", "max_angular_accel"])
 def test_a_controller_that_knows_no_speed_or_limits_of_the_others_is_refused(monkeypatch, setting):
     item = Contender("standing", build(Settings, {}), Standing, "frozen", rate=20.0)
-    monkeypatch.setattr(comparison, "contenders", lambda *_: [item])
+    monkeypatch.setattr(comparison, "contender", lambda *_: item)
     settings, path = build(Settings, {setting: 0.1}), named_path("lissajous")
     with pytest.raises(AdpError, match="'standing' knows neither a speed that varies"):
         compare(settings, "lissajous", path, STARTS[:1], ["x"])
@@ -157,7 +156,7 @@ class Standing:
 
 def test_the_distance_from_the_path_is_that_to_its_nearest_place(monkeypatch):
     item = Contender("standing", build(Settings, UNLIMITED), Standing, "frozen", rate=20.0)
-    monkeypatch.setattr(comparison, "contenders", lambda *_: [item])
+    monkeypatch.setattr(comparison, "contender", lambda *_: item)
     result = compare(
         build(Settings, UNLIMITED),
         "line",
@@ -194,7 +193,7 @@ def test_starts_without_an_optimum_count_in_all_but_the_ratio():
 
 def test_the_paper_runs_with_its_own_learner_on_the_same_problem():
     task = build(Settings, {**UNLIMITED, "desired_speed": 0.3, "input_cost": (2.0, 1.0)})
-    (item,) = contenders(task, ["paper"])
+    item = contender("paper", task)
     assert (item.settings.target, item.settings.cost) == (task.target, task.cost)
     assert item.settings.learning.basis == "paper"
 

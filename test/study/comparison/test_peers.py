@@ -24,14 +24,18 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.comparison.controllers import PEERS
-from adp_path_follower.study.comparison.peers import pure_pursuit
-from adp_path_follower.study.comparison.peers.lapierre_soetanto import (
+from adp_path_follower.study.comparison.peers import steering
+from adp_path_follower.study.comparison.peers.error_laws import (
     LapierreSoetanto,
+    Lqr,
     TunedLapierreSoetanto,
 )
-from adp_path_follower.study.comparison.peers.lqr import Lqr
-from adp_path_follower.study.comparison.peers.pure_pursuit import PurePursuit, RegulatedPurePursuit
-from adp_path_follower.study.comparison.peers.stanley import Stanley, TunedStanley
+from adp_path_follower.study.comparison.peers.steering import (
+    PurePursuit,
+    RegulatedPurePursuit,
+    Stanley,
+    TunedStanley,
+)
 from folders import DATA, ROOT
 
 try:
@@ -165,9 +169,9 @@ def test_any_finite_pose_gives_a_command_within_the_limits(name, settings, path,
 def test_pursuit_follows_the_arc_through_the_point_ahead():
     radius, angle = 2.5, 0.4
     point = np.array([radius * math.sin(angle), radius * (1.0 - math.cos(angle))])
-    assert pure_pursuit.pursuit_curvature(point) == pytest.approx(1.0 / radius)
-    assert pure_pursuit.pursuit_curvature(-point * [-1.0, 1.0]) == pytest.approx(-1.0 / radius)
-    assert pure_pursuit.pursuit_curvature(np.zeros(2)) == 0.0
+    assert steering.pursuit_curvature(point) == pytest.approx(1.0 / radius)
+    assert steering.pursuit_curvature(-point * [-1.0, 1.0]) == pytest.approx(-1.0 / radius)
+    assert steering.pursuit_curvature(np.zeros(2)) == 0.0
 
 
 def test_pure_pursuit_steers_by_twice_the_offset_over_the_distance_squared():
@@ -339,7 +343,7 @@ def test_nmpc_finds_a_solver_without_a_compiler(monkeypatch):
 
     monkeypatch.setenv("PATH", "")
     settings = build(Settings, {**UNLIMITED, "desired_speed": 0.4})
-    solver = nmpc.horizon_solver(settings.target, settings.cost, settings.limits, settings.motion)
+    solver = nmpc.horizon_solver(settings)
     assert solver.name.endswith("not compiled")
 
 

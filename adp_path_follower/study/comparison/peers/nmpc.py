@@ -19,13 +19,7 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedReference, passing_times
-from adp_path_follower.core.settings.groups import (
-    CostSettings,
-    LimitSettings,
-    MotionSettings,
-    Settings,
-    TargetSettings,
-)
+from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import Library
 from adp_path_follower.study.comparison.peers.peer import PeerController
 
@@ -111,15 +105,10 @@ class HorizonSolver:
     from.
     """
 
-    def __init__(
-        self,
-        target: TargetSettings,
-        cost: CostSettings,
-        limits: LimitSettings,
-        motion: MotionSettings,
-    ) -> None:
+    def __init__(self, settings: Settings) -> None:
         """Transcribe the problem and compile its solver, if there is a compiler."""
-        problem = _transcription(target, cost, motion.limited)
+        limits, motion = settings.limits, settings.motion
+        problem = _transcription(settings)
         fast = casadi.nlpsol("nmpc", "sqpmethod", problem, _SQP)
         self._careful = casadi.nlpsol("nmpc", "ipopt", problem, _IPOPT)
         compiled = _compiled(fast)
@@ -179,12 +168,12 @@ class HorizonSolver:
         return Plan(state, stages[:, _STATES:])
 
 
-horizon_solver = functools.lru_cache(maxsize=8)(HorizonSolver)  # one for the same numbers
+horizon_solver = functools.lru_cache(maxsize=8)(HorizonSolver)  # one for the same settings
 
 
-def _transcription(target: TargetSettings, cost: CostSettings, limited: bool) -> dict[str, Any]:
+def _transcription(settings: Settings) -> dict[str, Any]:
     """Return the nonlinear program as CasADi wants it, ordered stage by stage."""
-    step = _step_function(target, cost).map(STEPS)
+    step = _step_function(settings).map(STEPS)
     stages = casadi.MX.sym("stages", _STAGE, STEPS)  # [state, command] of each
     last = casadi.MX.sym("last", _STATES)
     table = casadi.MX.sym("path", _TERMS, STEPS)
@@ -196,11 +185,11 @@ def _transcription(target: TargetSettings, cost: CostSettings, limited: bool) ->
         "x": casadi.vertcat(casadi.vec(stages), last),
         "p": casadi.vertcat(casadi.vec(table), casadi.vec(terminal)),
         "f": casadi.sum2(spent) + casadi.bilin(terminal, last[:3], last[:3]),
-        "g": casadi.vertcat(casadi.vec(gaps), *[casadi.vec(changes)] * limited),
+        "g": casadi.vertcat(casadi.vec(gaps), *[casadi.vec(changes)] * settings.motion.limited),
     }
 
 
-def _step_function(target: TargetSettings, cost: CostSettings) -> Any:
+def _step_function(settings: Settings) -> Any:
     """Return a CasADi function (state, command, path) -> (state after a step, its cost)."""
     state, command = casadi.SX.sym("state", _STATES), casadi.SX.sym("command", _INPUTS)
     table = casadi.SX.sym("path", _TERMS)
@@ -211,7 +200,7 @@ def _step_function(target: TargetSettings, cost: CostSettings) -> Any:
         curvature = table[1] + ahead * (table[2] + 0.5 * ahead * table[3])
         squared = table[4] + ahead * (table[5] + 0.5 * ahead * table[6])
         v_des = casadi.sqrt(casadi.fmax(squared, _LEAST_SPEED**2))
-        speed = v_des * casadi.cos(theta) + target.target_gain * s
+        speed = v_des * casadi.cos(theta) + settings.target.target_gain * s
         rate = casadi.vertcat(
             speed * (curvature * y - 1.0) + command[0] * casadi.cos(theta),
             command[0] * casadi.sin(theta) - curvature * s * speed,
@@ -219,8 +208,8 @@ def _step_function(target: TargetSettings, cost: CostSettings) -> Any:
             speed,
         )
         error, modified = now[:3], command - casadi.vertcat(v_des, v_des * curvature)
-        spent = casadi.bilin(cost.state_cost_matrix(), error, error)
-        return rate, spent + casadi.bilin(cost.input_cost_matrix(), modified, modified)
+        spent = casadi.bilin(settings.cost.state_cost_matrix(), error, error)
+        return rate, spent + casadi.bilin(settings.cost.input_cost_matrix(), modified, modified)
 
     first, first_cost = rates(state)
     second, second_cost = rates(state + 0.5 * STEP * first)
@@ -264,14 +253,12 @@ class Nmpc(PeerController):
     """
 
     def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
-        """Transcribe and compile the solver; once for all with the same numbers."""
+        """Transcribe and compile the solver; once for all with the same settings."""
         super().__init__(settings, path, arc_length)
         self._schedule = RiccatiSchedule(
             path, settings.target, settings.cost, self.reference.profile
         )
-        self._solver = horizon_solver(
-            settings.target, settings.cost, settings.limits, settings.motion
-        )
+        self._solver = horizon_solver(settings)
         self.solver = self._solver.name  # such as "sqpmethod, compiled"
         self.failures = 0  # steps of any robot at which no new plan was found
         self._plans: list[Plan | None] = []
