@@ -51,8 +51,7 @@ def _imported(name: str, subject: str, extra: str) -> ModuleType:
     except ImportError as error:
         if name in _HINTS:
             raise AdpError(f"{subject} needs another {name} ({error}): {_HINTS[name]}") from None
-        root = name.partition(".")[0]
-        raise AdpError(missing_text(subject, extra, root)) from None
+        raise AdpError(missing_text(subject, extra, name)) from None
 
 
 class Library:
@@ -65,7 +64,6 @@ class Library:
     """
 
     def __init__(self, name: str, subject: str, extra: str) -> None:
-        """Name the module, the part that needs it and the extra that installs it."""
         self._name, self._subject, self._extra = name, subject, extra
 
     def __getattr__(self, attribute: str) -> Any:

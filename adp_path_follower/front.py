@@ -17,6 +17,13 @@ from adp_path_follower.core.path.library import named_path, path_through
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings as read_settings
 from adp_path_follower.resources import parameter_file
+from adp_path_follower.study.simulation.simulate import (
+    PAPER_START,
+    SimulationResult,
+    checked_starts,
+    read_starts,
+)
+from adp_path_follower.study.simulation.simulate import simulate as run_simulation
 from sim_unicycle.fault_script import FaultScript, without_nodes
 from sim_unicycle.settings import PlantSettings, simulator_settings
 
@@ -24,9 +31,6 @@ if TYPE_CHECKING:
     from adp_path_follower.analysis.bag_analysis import BagAnalysis
     from adp_path_follower.study.comparison.compare import Comparison
     from adp_path_follower.study.optimum.collocation import Optimum
-    from adp_path_follower.study.simulation.simulate import SimulationResult
-
-_PAPER_START = (-0.5, 0.25, -np.pi / 6.0)
 
 PathLike = Path | str | FilePath | ArrayLike
 SettingsLike = Settings | str | FilePath
@@ -83,7 +87,7 @@ def simulate(
     path: PathLike = "lissajous",
     settings: SettingsLike = "default",
     *,
-    starts: ArrayLike = _PAPER_START,
+    starts: ArrayLike = PAPER_START,
     start_arc_length: float = 0.0,
     duration: float = 30.0,
     rate: float = 100.0,
@@ -110,11 +114,9 @@ def simulate(
         AdpError: An argument is wrong; the message names it.
 
     """
-    from adp_path_follower.study.simulation.simulate import simulate as run
-
     chosen = _settings(settings)
     plant, faults = _robot(robot)
-    return run(
+    return run_simulation(
         chosen,
         globals()["path"](path, settings=chosen),
         starts,
@@ -156,7 +158,6 @@ def compare(
 
     """
     from adp_path_follower.study.comparison.compare import compare as run
-    from adp_path_follower.study.simulation.simulate import checked_starts, read_starts
 
     chosen = _settings(settings)
     plant, faults = _robot(robot)
@@ -177,7 +178,7 @@ def optimum(
     path: PathLike = "lissajous",
     settings: SettingsLike = "paper",
     *,
-    start: ArrayLike = _PAPER_START,
+    start: ArrayLike = PAPER_START,
     start_arc_length: float = 0.0,
     horizon: float = 30.0,
     robot: Mapping[str, object] | str | None = None,

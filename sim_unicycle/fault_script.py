@@ -47,7 +47,6 @@ class FaultScript:
     """Entries of a script; where two hold at once, the later one in the list wins."""
 
     def __init__(self, entries: tuple[FaultEntry, ...] = ()) -> None:
-        """Take the entries; without any, nothing ever changes."""
         self.entries = entries
         self._known: tuple[SimulatorSettings, tuple[FaultEntry, ...], SimulatorSettings] | None
         self._known = None

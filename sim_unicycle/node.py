@@ -247,7 +247,6 @@ class Transforms:
     """Publishes map → odom and odom → base on /tf, where `tf2_msgs` is installed."""
 
     def __init__(self, node: Node, wanted: bool) -> None:
-        """Create the publisher, if it is wanted and possible."""
         self._publisher: Any = None
         if not wanted:
             return

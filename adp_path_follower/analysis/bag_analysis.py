@@ -24,7 +24,7 @@ from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.path.library import is_path_file, named_points
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import flatten, yaml_text
-from adp_path_follower.drawing.charts import Charts, Event
+from adp_path_follower.drawing.charts import ShownRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,15 +34,12 @@ NOT_MEASURED = "not measured"
 
 
 @dataclass(frozen=True)
-class BagAnalysis:
-    """The analysis of one bag.
+class BagAnalysis(ShownRun):
+    """The analysis of one bag: its `name`, `events`, the data of its figures `charts`, and more.
 
     Attributes:
-        name: Name of the bag.
         metrics: Name -> value, NaN where the bag does not tell.
         states: State of the controller -> time in it [s].
-        charts: Data of the figures.
-        events: Events of the run.
         events_left_out: The events that were left out, as a sentence, empty if nothing is.
         settings: Name -> value as text; empty where the bag does not say.
         topics: Topic -> number of messages.
@@ -52,11 +49,8 @@ class BagAnalysis:
 
     """
 
-    name: str
     metrics: Mapping[str, float]
     states: Mapping[str, float]
-    charts: Charts
-    events: tuple[Event, ...]
     events_left_out: str
     settings: Mapping[str, str]
     topics: Mapping[str, int]

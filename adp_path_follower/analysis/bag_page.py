@@ -12,7 +12,7 @@ from adp_path_follower.analysis.bag_analysis import NOT_MEASURED, BagAnalysis, n
 from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.run_charts import LEARNED
 from adp_path_follower.criteria import OFF_PATH, SETTLED
-from adp_path_follower.drawing.charts import Charts, ShownRun
+from adp_path_follower.drawing.charts import Charts
 from adp_path_follower.drawing.figure_style import color
 from adp_path_follower.drawing.page import write_page
 from adp_path_follower.drawing.page_figures import page_data
@@ -93,8 +93,7 @@ def write_report(
     analyses: Sequence[BagAnalysis], requirements: Sequence[Requirement], file: FilePath
 ) -> None:
     """Write the page about one or several bags."""
-    runs = [ShownRun(item.name, item.charts, item.events) for item in analyses]
-    data = page_data(runs)
+    data = page_data(analyses)
     write_page(
         file,
         "report",

@@ -97,11 +97,6 @@ def output_directory(directory: FilePath, keep: bool = False) -> Iterator[FilePa
         raise
 
 
-def page_address(file: FilePath) -> str:
-    """Return the address by which a browser opens a page."""
-    return file.resolve().as_uri()
-
-
 def write_json(file: FilePath, content: object) -> None:
     """Write JSON with null for numbers that are not finite; may raise FileError."""
     text = json.dumps(_finite(content), indent=2, allow_nan=False)

@@ -18,8 +18,10 @@ from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.criteria import SETTLED
+from adp_path_follower.drawing.page import Table, write_runs_page
 from adp_path_follower.extras import require
 from adp_path_follower.study.simulation.route import is_plain, simulate_route
+from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import (
     LEARNING_MODES,
     ControllerFactory,
@@ -145,9 +147,6 @@ def _write_page(
     result: SimulationResult, path: Path, settings: Settings, path_name: str, file: FilePath
 ) -> None:
     """Write the page of the first runs, and say where it is."""
-    from adp_path_follower.drawing.page import Table, write_runs_page
-    from adp_path_follower.study.simulation.shown import shown_run
-
     count, trajectories = min(len(result.starts), _RUNS_DRAWN), result.trajectories
     assert trajectories is not None  # recorded for it
     names = [f"from ({s:.3g}, {y:.3g}, {theta:.3g})" for s, y, theta in result.starts[:count]]
@@ -164,7 +163,7 @@ def _write_page(
     about = "The virtual target begins at the same place for every run; θ is in radians."
     title = f"Simulated runs on {path_name}"
     write_runs_page(file, title, about, "adp simulate", settings, runs, Table(columns, rows))
-    click.echo(outputs.page_address(file))
+    click.echo(file.resolve().as_uri())
 
 
 def _simulate_route(
@@ -177,7 +176,6 @@ def _simulate_route(
     plant: PlantSettings,
     json_file: FilePath | None,
 ) -> None:
-    """Simulate runs of a route, and write what came out."""
     outputs.check_writable(json_file)
     learns = settings.learning.learning and learning != "frozen"
     settings = settings.with_changes(learning=learns, path_start="beginning")

@@ -126,7 +126,15 @@ def fit_response(recordings: Sequence[Recording]) -> Fit:
         return np.asarray((errors(values)[used] / scale).ravel())
 
     scale = np.maximum(np.std(measured, axis=0), _LEAST)
-    found, free = _with_ramps_or_without(filters, measured, used, scale, scaled)
+    fits = {
+        free: _refined(scaled, _start(filters, measured, used, scale, slownesses), free)
+        for free, slownesses in ((3, ((0.0,), (0.0,))), (5, _SLOWNESS))
+    }
+    # Encoders tell the mean velocity of a period: a ramp that is over by then is none.
+    lasts = max(item.ramps_last(fits[5]) for item in filters)
+    better = np.sum(scaled(fits[5]) ** 2) < np.sum(scaled(fits[3]) ** 2)
+    free = 5 if lasts > _PERIODS and better else 3  # numbers to fit, with ramps or without
+    found = fits[free]
     for _ in range(2):  # the second time without outliers, and with the scale of the errors
         found = _refined(scaled, found, free)
         scale = np.maximum(np.std(errors(found)[used], axis=0), _LEAST)
@@ -140,27 +148,6 @@ def fit_response(recordings: Sequence[Recording]) -> Fit:
     explained = 1.0 - np.mean(error[used] ** 2, axis=0) / spread
     room = np.hypot(values.room, np.array([1.0, 1.0, 1.0, 0.0, 0.0]) * _SAMPLING)
     return Fit(Estimate(found, room), noise, explained)
-
-
-def _with_ramps_or_without(
-    filters: Sequence[_Filter],
-    measured: FloatArray,
-    used: NDArray[np.bool_],
-    scale: FloatArray,
-    errors: Callable[[FloatArray], FloatArray],
-) -> tuple[FloatArray, int]:
-    """Return the better values of those with ramps and those without, and how many are to fit.
-
-    Encoders tell the mean velocity of a period: a ramp that is over by then is none.
-    """
-    found = {
-        free: _refined(errors, _start(filters, measured, used, scale, slownesses), free)
-        for free, slownesses in ((3, ((0.0,), (0.0,))), (5, _SLOWNESS))
-    }
-    lasts = max(item.ramps_last(found[5]) for item in filters)
-    better = np.sum(errors(found[5]) ** 2) < np.sum(errors(found[3]) ** 2)
-    free = 5 if lasts > _PERIODS and better else 3
-    return found[free], free
 
 
 def _start(

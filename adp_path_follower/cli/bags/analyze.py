@@ -94,7 +94,7 @@ def analyze(
     for text in missed:
         click.echo(f"adp: {text}", err=True)
     click.echo(f"\nIn {directory}: report.html, metrics.json, figures/, trajectory*.tum")
-    click.echo(outputs.page_address(directory / "report.html"))
+    click.echo((directory / "report.html").resolve().as_uri())
     sys.exit(1 if missed else 0)
 
 

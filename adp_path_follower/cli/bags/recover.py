@@ -29,7 +29,6 @@ def recover(bag: FilePath, output: FilePath | None) -> None:
 
 
 def _report(recovery: Recovery) -> str:
-    """Return what was saved, and what was not."""
     counts = recovery.message_counts
     lines = [f"saved {sum(counts.values())} messages to {recovery.bag}"]
     lines += [f"{count:10d}  {topic}" for topic, count in sorted(counts.items())]

@@ -46,34 +46,24 @@ def simulate_route(
     runs = []
     first = route.segments[0]
     frame = first.heading_of_path(first.path.frame(0.0).pose)
+    period = 1.0 / rate
     for number, start in enumerate(starts):
-        robot = Unicycle(pose_in_frame(start, frame), plant, number)
-        runs.append(_run(settings, route, start, robot, duration, rate))
+        robot, driver = Unicycle(pose_in_frame(start, frame), plant, number), Driver(settings)
+        driver.follow(route)
+        costs: dict[int, float] = {}
+        highest, goal_time, backwards = np.zeros(2), math.inf, 0.0
+        for step in range(round(duration * rate) + 1):
+            pose, motion = robot.present_pose(), robot.measured_motion()
+            output = driver.step(pose, round((step + 1) * 1e9 * period), motion)
+            assert driver.follower is not None  # the step has made one
+            costs[driver.segment] = float(driver.follower.cost)
+            if driver.at_goal:
+                goal_time = step * period
+                break
+            highest = np.maximum(highest, np.abs(output.command))
+            backwards += period * float(output.command[0] < 0.0)
+            robot.step(output.command, period)
+        cost = sum(costs.values())
+        runs.append(RouteRun(start, cost, goal_time, robot.pose, highest, backwards))
         progress((number + 1) / len(starts))
     return runs
-
-
-def _run(
-    settings: Settings,
-    route: Route,
-    start: FloatArray,
-    robot: Unicycle,
-    duration: float,
-    rate: float,
-) -> RouteRun:
-    driver, period = Driver(settings), 1.0 / rate
-    driver.follow(route)
-    costs: dict[int, float] = {}
-    highest, goal_time, backwards = np.zeros(2), math.inf, 0.0
-    for step in range(round(duration * rate) + 1):
-        pose, motion = robot.present_pose(), robot.measured_motion()
-        output = driver.step(pose, round((step + 1) * 1e9 * period), motion)
-        assert driver.follower is not None  # the step has made one
-        costs[driver.segment] = float(driver.follower.cost)
-        if driver.at_goal:
-            goal_time = step * period
-            break
-        highest = np.maximum(highest, np.abs(output.command))
-        backwards += period * float(output.command[0] < 0.0)
-        robot.step(output.command, period)
-    return RouteRun(start, sum(costs.values()), goal_time, robot.pose, highest, backwards)

@@ -52,4 +52,4 @@ def shown_run(
         points=max(200, _POINTS // among),
         samples=max(500, _SAMPLES // among),
     )
-    return ShownRun(name, Charts(track, panels))
+    return ShownRun(name, Charts(track, panels), ())
