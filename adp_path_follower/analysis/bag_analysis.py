@@ -144,8 +144,8 @@ def analyse_bag(
         path = named_points(names["path"], _SPACING)
         names["path"] = ""  # none of the bag's
     drive = drive_of(bag, read_run(bag, names, progress), path)
-    costs = costs_of(drive, shared or drive.settings)
-    metrics = measure_drive(drive, costs.values)
+    costs, of_costs, optimum = costs_of(drive, shared or drive.settings)
+    metrics = measure_drive(drive, costs)
     if trajectory is not None:
         _write_tum(drive, trajectory)
     events, left_out = events_of(drive)
@@ -154,13 +154,13 @@ def analyse_bag(
         name=bag.name or str(bag) if title is None else title,
         metrics=metrics,
         states=time_in_state(drive),
-        charts=charts_of(drive, bags, costs.optimum),
+        charts=charts_of(drive, bags, optimum),
         events=events,
         events_left_out=left_out,
         settings={name: yaml_text(value) for name, value in settings.items()},
         topics=drive.run.message_counts,
         used=drive.run.topics,
-        notes=(*drive.notes, *costs.notes, *filter(None, [left_out])),
+        notes=(*drive.notes, *of_costs, *filter(None, [left_out])),
         trust=trust_of(drive, metrics),
     )
 

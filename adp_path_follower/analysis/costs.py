@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,18 +32,13 @@ _LEAST_OPTIMUM = 1e-4  # J* of a start half a centimetre beside the path
 _LEAST_RATIO = 0.9  # J / J*: less is no matter of rounding
 
 
-@dataclass(frozen=True)
-class Costs:
-    """J of a run and the optimum from the same start, as far as the bag tells."""
-
-    values: dict[str, float]  # cost, optimal_cost, cost_ratio
-    notes: tuple[str, ...]  # sentences about them
-    # The optimal motion: time since the first command [s], x, y [m], theta [rad], shape (T, 4).
-    optimum: FloatArray | None = None
+# cost, optimal_cost and cost_ratio, as far as the bag tells; sentences about them; and the optimal
+# motion: time since the first command [s], x, y [m], theta [rad], shape (T, 4).
+Costs = tuple[dict[str, float], tuple[str, ...], FloatArray | None]
 
 
 def costs_of(drive: Drive, settings: Settings | None) -> Costs:
-    """Return cost, optimum and their ratio, as far as the bag tells."""
+    """Return J of a run, and the optimum from the same start, as far as the bag tells."""
     time = drive.commands.time
     if settings is None:
         return _unknown(
@@ -78,11 +72,11 @@ def costs_of(drive: Drive, settings: Settings | None) -> Costs:
     noise = COST_HORIZON * float(weights[0, 0] + weights[1, 1]) * drive.motion.noise**2
     ratio, doubt = _cost_ratio(cost, optimum, max(_LEAST_OPTIMUM, _NOISES * noise))
     values = {"cost": cost, "optimal_cost": optimum, "cost_ratio": ratio}
-    return Costs(values, (*notes, *doubt), motion)
+    return values, (*notes, *doubt), motion
 
 
 def _unknown(why: str) -> Costs:
-    return Costs({}, (f"no cost: {why}",))
+    return {}, (f"no cost: {why}",), None
 
 
 def _cost_ratio(cost: float, optimum: float, least: float) -> tuple[float, tuple[str, ...]]:

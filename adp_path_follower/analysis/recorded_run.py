@@ -110,13 +110,15 @@ def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
     index = max(0, int(np.searchsorted(odometry.stamp, first, side="right")) - 1)
     start = int(odometry.stamp[index])
     speed = odometry.values[:, 3]
-    motion = motion_of((odometry.stamp - start) * 1e-9, odometry.values[:, :3], speed, line.cut)
+    time = (odometry.stamp - start) * 1e-9
+    motion = motion_of(time, odometry.values[:, :3], speed, line.cut)
     known = np.isfinite(followed.poses[:, 0])
     in_force = np.where(known, followed.in_force, -1)
+    in_frame = np.c_[followed.poses, odometry.values[:, 3:]]
     segment_of_pose = _segments(followed.routes, in_force, followed.poses, speed)
     segments = tuple(itertools.chain.from_iterable(route.segments for route in followed.routes))
     learner = _learner(run, clock, start)
-    target = _target_at((odometry.stamp - start) * 1e-9, learner.get("target"))
+    target = _target_at(time, learner.get("target"))
     projection = _projection(segments, segment_of_pose, followed.poses, motion, target)
     notes = [*run.notes, *line.notes, *followed.notes, *told.notes, *_far_off(projection)]
     return Drive(
@@ -127,12 +129,7 @@ def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
         motion=motion,
         start=start,
         end=float((last - start) * 1e-9),
-        odometry=Timed(
-            (odometry.stamp - start) * 1e-9,
-            np.where(
-                known[:, None], np.c_[followed.poses, odometry.values[:, 3:]], odometry.values
-            ),
-        ),
+        odometry=Timed(time, np.where(known[:, None], in_frame, odometry.values)),
         projection=projection,
         segments=segments,
         segment_of_pose=segment_of_pose,

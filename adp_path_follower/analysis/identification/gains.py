@@ -20,14 +20,6 @@ _UNKNOWN = np.array([0.1, 0.1, 0.1])  # standard deviations of what no drive has
 
 
 @dataclass(frozen=True)
-class Gains:
-    """Gains and bias, with the noise of the pose."""
-
-    values: Estimate  # k_v, k_w, b [rad/m]
-    noise: FloatArray  # standard deviations of the pose's x or y [m] and heading [rad], shape (2,)
-
-
-@dataclass(frozen=True)
 class _Window:
     place: FloatArray  # x + i y less its mean, shape (N,)
     heading: FloatArray  # shape (N,)
@@ -45,11 +37,14 @@ class _Window:
         return np.asarray(way - way.mean())
 
 
-def fit_gains(recordings: Sequence[Recording]) -> Gains:
-    """Return the gains and the bias that bring encoders and poses together best."""
+def fit_gains(recordings: Sequence[Recording]) -> tuple[Estimate, FloatArray]:
+    """Return k_v, k_w, b [rad/m] that bring encoders and poses together best, and the noise.
+
+    That is the standard deviations of the pose's x or y [m] and of its heading [rad], shape (2,).
+    """
     windows = [window for recording in recordings for window in _windows(recording)]
     if not windows:
-        return Gains(Estimate(_IDEAL, 2.0 * _UNKNOWN), np.full(2, math.nan))
+        return Estimate(_IDEAL, 2.0 * _UNKNOWN), np.full(2, math.nan)
     turning = _turning(windows)
     sizes = np.array([np.std(item.missed(turning.values)) for item in windows])
     usual = max(float(np.median(sizes)), _LEAST)
@@ -67,7 +62,7 @@ def fit_gains(recordings: Sequence[Recording]) -> Gains:
     )
     astray = [item.place - gain.values * way for item, way in zip(windows, ways, strict=True)]
     missed = [item.missed(turning.values) for item in windows]
-    return Gains(
+    return (
         Estimate(np.append(gain.values, turning.values), np.append(gain.room, turning.room)),
         np.array([_noise(astray) / math.sqrt(2.0), _noise(missed)]),
     )

@@ -99,16 +99,17 @@ def _rounded(value: Any) -> Any:
 
 def identify(recordings: Sequence[Recording]) -> Identification:
     """Return the robot of some recordings of it."""
-    response, gains = fit_response(recordings), fit_gains(recordings)
+    response, encoder_noise, shares = fit_response(recordings)
+    gains, pose_noise = fit_gains(recordings)
     found = zip(
         _DRIVES,
-        np.append(response.values.values[:3], gains.values.values).tolist(),
-        np.append(response.values.room[:3], gains.values.room).tolist(),
+        np.append(response.values[:3], gains.values).tolist(),
+        np.append(response.room[:3], gains.room).tolist(),
         strict=True,
     )
     parts = [_named(name, value, room) for name, value, room in found]
     told = {item.name: item.value for item in parts if not item.drive}
-    ramps = _ramps(response.values, told)
+    ramps = _ramps(response, told)
     parts[3:3] = ramps.values()
     model = RobotModel(
         delay=told.get("delay", 0.0),
@@ -120,20 +121,20 @@ def identify(recordings: Sequence[Recording]) -> Identification:
         angular_gain=told.get("k_w", 1.0),
         bias=told.get("bias", 0.0),
     )
-    sizes = zip(_NOISES.items(), (*response.noise, *gains.noise), strict=True)
+    sizes = zip(_NOISES.items(), (*encoder_noise, *pose_noise), strict=True)
     count = sum(len(item.time) for item in recordings)
     parts += [_deviation(name, unit, float(size), count) for (name, unit), size in sizes]
     parts += _odometry(recordings)
     notes = [note for item in recordings for note in item.notes]
     excited = [name in told for name in ("linear lag", "angular lag")]
-    explained = np.where(excited, response.explained, math.nan)
+    explained = np.where(excited, shares, math.nan)
     low = [name for name, share in zip("vω", explained, strict=True) if share < _LITTLE]
     if low:
         notes.append(
             f"the model explains less than half of {' and '.join(low)}: are these the commands "
             "that the robot gets, and is it limited behind them?"
         )
-    if gains.noise[0] < _RECKONED and not all(item.localised for item in recordings):
+    if pose_noise[0] < _RECKONED and not all(item.localised for item in recordings):
         notes.append(
             "the pose follows the encoders without noise: if it is their integral, gains and bias "
             "say nothing about the robot; name a localised pose by --pose"

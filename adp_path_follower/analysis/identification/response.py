@@ -7,7 +7,6 @@ the encoders' velocities at their stamps.
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +32,6 @@ _LEAST = np.array([5e-4, 1e-3])  # [m/s, rad/s] of noise, so that a simulated ro
 _SAMPLING = 0.008  # [s] by which all times may be wrong, as firmware and recorder sample, too
 _PERIODS = 2.0  # of the odometry that a ramp lasts which is told
 _BLOCK = 1.0  # [s] whose errors hang together
-
-
-@dataclass(frozen=True)
-class Fit:
-    """The fitted response, with the encoders' noise."""
-
-    # Delay, linear lag, angular lag [s], slownesses of the ramps [s^2/m, s^2/rad].
-    values: Estimate
-    noise: FloatArray  # standard deviations of the encoders' v and w, shape (2,)
-    explained: FloatArray  # share of the motion of v and of w that the model explains, shape (2,)
 
 
 class _Filter:
@@ -106,8 +95,13 @@ def modelled(recording: Recording, model: RobotModel) -> FloatArray:
     return _Filter(recording).model(values)
 
 
-def fit_response(recordings: Sequence[Recording]) -> Fit:
-    """Return the response that explains the encoders of all recordings best."""
+def fit_response(recordings: Sequence[Recording]) -> tuple[Estimate, FloatArray, FloatArray]:
+    """Return the response that explains the encoders of all recordings best.
+
+    It is delay, linear lag, angular lag [s] and slownesses of the ramps [s^2/m, s^2/rad]; then come
+    the standard deviations of the encoders' v and w, and the shares of their motion that the model
+    explains, shape (2,) each.
+    """
     filters = [_Filter(recording) for recording in recordings]
     measured = np.concatenate([item.encoders for item in recordings])
     used = np.concatenate([item.used for item in filters])
@@ -147,7 +141,7 @@ def fit_response(recordings: Sequence[Recording]) -> Fit:
     spread = np.maximum(np.mean(measured[used] ** 2, axis=0), 1e-12)
     explained = 1.0 - np.mean(error[used] ** 2, axis=0) / spread
     room = np.hypot(values.room, np.array([1.0, 1.0, 1.0, 0.0, 0.0]) * _SAMPLING)
-    return Fit(Estimate(found, room), noise, explained)
+    return Estimate(found, room), noise, explained
 
 
 def _start(
