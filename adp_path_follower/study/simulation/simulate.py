@@ -28,6 +28,7 @@ from adp_path_follower.resources import FORTY_STARTS
 from adp_path_follower.study.simulation.trajectories import (
     Trajectories,
     TrajectoryRecorder,
+    batch_of_one,
     weights_of,
 )
 from sim_unicycle.fault_script import FaultScript
@@ -168,13 +169,16 @@ def simulate(
     recorder = None
     if record:
         recorder = TrajectoryRecorder(len(errors), steps + 1, period, record_weights)
-    frame = path.frame(np.full(1, start_arc_length)).pose
+    frame = path.frame(start_arc_length).pose
 
     def outcome(first: int) -> SimulationResult:
         """Return the outcome of a block; nothing else of it is kept."""
         block = errors[first : first + size]
+        count = len(block)
+        if count == 1 and controller is PathFollower:
+            block = block[0]  # numbers are faster than arrays of one
         robot = Unicycle(pose_in_frame(block, frame), plant or PlantSettings(), first)
-        places = np.full(len(block), start_arc_length)
+        places = np.full(block.shape[:-1], start_arc_length)
         follower = controller(settings, path, places)
         if learning == "warm" and isinstance(follower, PathFollower):
             ahead = duration * settings.target.desired_speed + _WARM_MARGIN
@@ -182,17 +186,20 @@ def simulate(
         chosen = _Modelled(model_settings, follower, places) if modelled else follower
 
         def note(step: int, output: ControlOutput, pose: FloatArray) -> None:
+            if (recorder or observe) and pose.ndim == 1:
+                output, pose = batch_of_one(output), pose[None]
             if recorder is not None:
                 recorder.note(first, step, output, pose)
             if observe is not None:
-                observe(slice(first, first + len(block)), step * period, pose, output)
+                observe(slice(first, first + count), step * period, pose, output)
 
         def report(fraction: float) -> None:
             if progress is not None:
-                progress((first + fraction * len(block)) / len(errors))
+                progress((first + fraction * count) / len(errors))
 
         loop = _ClosedLoop(settings, path, block, chosen, robot, faults)
-        return loop.run(steps, period, note, report)
+        found = loop.run(steps, period, note, report)
+        return found if block.ndim == 2 else batch_of_one(found)
 
     results = [outcome(first) for first in range(0, len(errors), size)]
     return _joined(results, None if recorder is None else recorder.trajectories())
@@ -240,7 +247,7 @@ class _Modelled:
     """
 
     def __init__(self, settings: Settings, controller: Controller, arc_length: FloatArray) -> None:
-        """Take the settings of the robot's model, and where the target starts [m], shape (1,)."""
+        """Take the settings of the robot's model, and where the target starts [m], () or (1,)."""
         self.settings, self.path = settings, controller.path
         self._controller, self._robot = controller, Robot(settings)
         self.reference = getattr(controller, "reference", None)
@@ -248,22 +255,23 @@ class _Modelled:
         self._time = self._then = 0  # [ns]
 
     def step(self, pose: FloatArray, dt: float, motion: FloatArray) -> ControlOutput:
-        """Return the command for a pose (1, 3) and v, w and age of the odometry (1, 3)."""
+        """Return the command for a pose and v, w and age of the odometry, (3,) or (1, 3) each."""
         first = self._time == 0
         self._time += round(1e9 * dt)
-        ahead, then = self._robot.ahead(pose[0], self._time, motion[0])
+        found, then = self._robot.ahead(pose.reshape(3), self._time, motion.reshape(3))
+        ahead = found.reshape(pose.shape)
         if first and then > self._time and hasattr(self._controller, "lead"):
-            self._controller.lead(pose, ahead[None], (then - self._time) * 1e-9)
+            self._controller.lead(pose, ahead, (then - self._time) * 1e-9)
         elapsed, self._then = 0.0 if first else (then - self._then) * 1e-9, then
         if isinstance(self._controller, PathFollower):
             self._controller.law.robot_is_ideal = self._robot.ideal
-        output = self._controller.step(ahead[None], elapsed)
-        command = self._robot.command(output.command[0])
+        output = self._controller.step(ahead, elapsed)
+        command = self._robot.command(output.command.reshape(2))
         self._robot.learn()
         frame, error = self._target.move(pose, dt)
         return replace(
             output,
-            command=command[None],
+            command=command.reshape(output.command.shape),
             error=error,
             target_pose=frame.pose,
             arc_length=self._target.arc_length,
@@ -288,7 +296,7 @@ class _ClosedLoop:
         self._undisturbed = SimulatorSettings(plant=robot.plant)
         self._motion_cost = MotionCost(settings, path, getattr(controller, "reference", None))
         self._input_cost = settings.cost.input_cost_matrix()
-        self._failed = np.zeros(len(starts), dtype=bool)
+        self._failed = np.zeros(starts.shape[:-1], dtype=bool)
 
     def run(
         self,
@@ -298,11 +306,11 @@ class _ClosedLoop:
         report: Callable[[float], None],
     ) -> SimulationResult:
         """Return the outcome after control periods; `note` gets number, output and poses."""
-        count = len(self._starts)
-        last_outside = np.full(count, -1)
-        max_inputs = np.zeros((count, 2))
-        excitation = np.full(count, math.inf)
-        cost, effort = np.zeros(count), np.zeros(count)
+        batch = self._starts.shape[:-1]
+        last_outside = np.full(batch, -1)
+        max_inputs = np.zeros((*batch, 2))
+        excitation = np.full(batch, math.inf)
+        cost, effort = np.zeros(batch), np.zeros(batch)
         step_times = np.zeros(steps + 1)
         for step in range(steps + 1):
             pose, motion = self._robot.present_pose(), self._robot.measured_motion()
@@ -312,7 +320,7 @@ class _ClosedLoop:
             else:
                 output = self._controller.step(pose, period)
             step_times[step] = time.perf_counter() - begun
-            distance = np.sqrt(np.einsum("bi,bi->b", output.error, output.error))
+            distance = np.sqrt(np.einsum("...i,...i->...", output.error, output.error))
             command = self._checked_command(output, distance)
             error = tracking_error(self._robot.pose, output.target_pose)
             last_outside[~criteria.is_settled(error)] = step
@@ -325,13 +333,15 @@ class _ClosedLoop:
                 np.maximum(max_inputs, np.abs(command), out=max_inputs)
                 cost += self._move(output, command, period)
                 applied = output.modified_input
-                effort += period * np.einsum("bi,ij,bj->b", applied, self._input_cost, applied)
+                effort += period * np.einsum(
+                    "...i,ij,...j->...", applied, self._input_cost, applied
+                )
         settling_time = np.where(last_outside < steps, (last_outside + 1) * period, math.inf)
         return SimulationResult(
             starts=self._starts,
             cost=np.where(self._failed, math.nan, cost),
             effort=np.where(self._failed, math.nan, effort),
-            final_error=np.where(self._failed[:, None], math.nan, output.error),
+            final_error=np.where(self._failed[..., None], math.nan, output.error),
             settling_time=np.where(self._failed, math.inf, settling_time),
             max_inputs=max_inputs,
             weights=weights_of(output),
@@ -348,13 +358,13 @@ class _ClosedLoop:
             return output.command
         if isinstance(self._controller, PathFollower):
             self._controller.reset_learning(self._failed)
-        return np.where(self._failed[:, None], 0.0, output.command)
+        return np.where(self._failed[..., None], 0.0, output.command)
 
     def _move(self, output: ControlOutput, command: FloatArray, period: float) -> FloatArray:
         """Move the robot for one period; return the cost along its true motion, shape (B,)."""
         count = math.ceil(period / _LONGEST_STEP - 1e-9)
         step = period / count
-        cost = np.zeros(len(self._starts))
+        cost = np.zeros(self._starts.shape[:-1])
         arc_length = output.arc_length
         frame: PathFrame | None = PathFrame(output.target_pose, output.curvature)
         for _ in range(count):

@@ -1,7 +1,8 @@
 """The course of simulated runs, step by step."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -61,12 +62,25 @@ class TrajectoryRecorder:
 
 
 def weights_of(output: ControlOutput) -> Weights:
-    """Return the weights of an output, one set for each run, shape (B, L) each."""
+    """Return the weights of an output, one set for each run, shape (..., L) each."""
+    batch = output.error.shape[:-1]
     if not isinstance(output, FollowerOutput):
-        none = np.zeros((len(output.error), 0))
+        none = np.zeros((*batch, 0))
         return Weights(none, none)
 
     def repeated(values: FloatArray) -> FloatArray:
-        return np.broadcast_to(values, (len(output.error), values.shape[-1]))
+        return np.broadcast_to(values, (*batch, values.shape[-1]))
 
     return Weights(repeated(output.weights.critic), repeated(output.weights.actor))
+
+
+def batch_of_one(values: Any) -> Any:
+    """Return the values of one robot, a dataclass, as those of a batch of one."""
+    found = {}
+    for item in fields(values):
+        value = getattr(values, item.name)
+        if is_dataclass(value):
+            found[item.name] = batch_of_one(value)
+        elif isinstance(value, np.ndarray | np.generic):
+            found[item.name] = np.asarray(value)[None]
+    return replace(values, **found)
