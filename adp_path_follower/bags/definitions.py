@@ -1,33 +1,37 @@
-"""Read messages by the definition of their type in the bag, where ROS 2 Jazzy's is another one."""
+"""Read messages by the definitions of their types in a bag, where ROS 2 Jazzy's are others."""
 
+import contextlib
 import functools
 from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
 import numpy as np
-from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat, Nodetype
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
+from rosbags.interfaces import MessageDefinition as RosbagsDefinition
 from rosbags.rosbag2 import storage_mcap
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from adp_path_follower.core.errors import FileError
 
+_SEPARATOR = "=" * 80  # between the texts of types
+_MOST_BYTES = 1024 * 1024  # of a definition in a bag; ROS's longest have 50 kB
+_ROS_ENCODINGS = ("ros2msg", "ros2idl", "omgidl")
+_FOREIGN_ENCODINGS = ("ros1msg", "protobuf", "flatbuffer", "jsonschema")
 # Nothing is computed from these: where a bag's definition lacks them, they are zero or empty.
 _NOT_NEEDED = ("covariance", "frame_id", "child_frame_id", "hardware_id")
 _TEXTS = ("string", "wstring")
-_LANGUAGES = ("ros2msg", "ros2idl", "omgidl", "")  # of definitions that rosbags knows
-_IDL_LINE = "=" * 80 + "\n"
-
+_LANGUAGES = (*_ROS_ENCODINGS, "")  # of definitions that rosbags knows
 
 Reading = Callable[[bytes], bytes]
 
 
 def _definition_of(
-    schema: storage_mcap.Schema | None, known: Callable[..., MessageDefinition]
-) -> MessageDefinition:
+    schema: storage_mcap.Schema | None, known: Callable[..., RosbagsDefinition]
+) -> RosbagsDefinition:
     """Return the definition in a schema, of other languages than ROS 2's only their name."""
     if schema is not None and schema.encoding not in _LANGUAGES:
-        return MessageDefinition(MessageDefinitionFormat.NONE, schema.encoding)
+        return RosbagsDefinition(MessageDefinitionFormat.NONE, schema.encoding)
     return known(schema)
 
 
@@ -81,10 +85,11 @@ def as_jazzy(connection: Connection) -> Reading:
 
 
 @functools.lru_cache(maxsize=256)
-def _store_of(definition: MessageDefinition, kind: str) -> Typestore | None:
+def _store_of(definition: RosbagsDefinition, kind: str) -> Typestore | None:
     """Return the types of a definition, None for one that is not understood."""
     try:
-        store = types_of(kind, definition.data, definition.format == MessageDefinitionFormat.MSG)
+        is_msg = definition.format == MessageDefinitionFormat.MSG
+        store = _types_in(definition.data, kind, "ros2msg" if is_msg else "ros2idl")
         _complete(store, kind)
     except Exception:  # rosbags' parser has no common error
         return None
@@ -100,13 +105,13 @@ def _complete(store: Typestore, kind: str) -> None:
         _complete(store, inner)
 
 
-def types_of(kind: str, text: str, is_msg: bool) -> Typestore:
+def _types_in(text: str, name: str, encoding: str) -> Typestore:
     """Return the types in a definition, of .msg or of IDL files; rosbags' errors if it is wrong."""
     store = get_typestore(Stores.EMPTY)
-    if is_msg:
-        store.register(get_types_from_msg(text, kind))
+    if encoding == "ros2msg":
+        store.register(get_types_from_msg(text, name))
         return store
-    for part in text.split(_IDL_LINE):
+    for part in text.split(f"{_SEPARATOR}\n"):
         body = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
         store.register(get_types_from_idl(body) if body.strip() else {})
     return store
@@ -171,3 +176,51 @@ def _taken(ours: Typestore, field: Any, value: Any) -> Any:
     if element[0] == Nodetype.NAME or element[1][0] in _TEXTS:
         return [_taken(ours, element, item) for item in value or ()]
     return np.zeros(length) if value is None else np.asarray(value, dtype=element[1][0])
+
+
+class MessageDefinition:
+    """The definition of one message type in a bag."""
+
+    def __init__(self, name: str, encoding: str, data: bytes) -> None:
+        """Parse the definition of a type, as far as it is one of ROS."""
+        self.name = name
+        self.is_ros = encoding in _ROS_ENCODINGS
+        self.is_text = _is_text(data)
+        self.type_hash = ""
+        self.types: Typestore | None = None  # this one and those in it, if it is understood
+        # Nothing is known of other encodings, nor of a definition that the recorder did not find.
+        self._is_foreign = encoding in _FOREIGN_ENCODINGS or not (encoding or data)
+        if self.is_ros and len(data) <= _MOST_BYTES:
+            with contextlib.suppress(Exception):  # rosbags' parser has no common error
+                types = _types_in(data.decode(), name, encoding)
+                self.type_hash = types.hash_rihs01(name)
+                self.types = types
+
+    @property
+    def is_usable(self) -> bool:
+        """Return whether readers can make something of it; others than ROS's are not looked at."""
+        return self.types is not None or self._is_foreign
+
+    def fits(self, message: bytes) -> bool:
+        """Return whether a serialised message can be decoded to its last byte."""
+        if self.types is None:
+            return False
+        try:
+            decoded = self.types.deserialize_cdr(message, self.name)
+            length = len(self.types.serialize_cdr(decoded, self.name))
+        except Exception:  # as above
+            return False
+        return abs(length - len(message)) <= 3  # serialisers may pad to four bytes
+
+
+def _is_text(data: bytes) -> bool:
+    """Return whether a definition looks sound, as services' do, which rosbags cannot read."""
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return False
+    return all(letter.isprintable() or letter in "\n\r\t" for letter in text)
+
+
+# As parsing takes some milliseconds.
+message_definition = functools.lru_cache(maxsize=256)(MessageDefinition)

@@ -36,14 +36,22 @@ def type_text(type_name: str) -> TypeText:
     try:
         return _installed(type_name)
     except Exception as error:  # rosbags' parser has no common error
-        store = get_typestore(Stores.ROS2_JAZZY)
-        if type_name in store.fielddefs:
-            definition, _ = store.generate_msgdef(type_name, ros_version=2)
-            return TypeText(definition, store.hash_rihs01(type_name))
+        found = text_of_jazzy(type_name)
+        if found is not None:
+            return found
         reason = " ".join(str(error).split()).rstrip(".")
         raise UnknownTypeError(
             f"unknown type {type_name}: {reason}; install its package, or source its workspace"
         ) from None
+
+
+def text_of_jazzy(type_name: str) -> TypeText | None:
+    """Return ROS 2 Jazzy's own definition of a type, if it knows the type."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    if type_name not in store.fielddefs:
+        return None
+    definition, _ = store.generate_msgdef(type_name, ros_version=2)
+    return TypeText(definition, store.hash_rihs01(type_name))
 
 
 def _installed(type_name: str) -> TypeText:

@@ -15,12 +15,9 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from adp_path_follower.bags.definitions import MessageDefinition, message_definition
+from adp_path_follower.bags.installed_types import text_of_jazzy
 from adp_path_follower.bags.recovery import mcap_scan
-from adp_path_follower.bags.recovery.definitions import (
-    MessageDefinition,
-    jazzy_schema,
-    message_definition,
-)
 from adp_path_follower.bags.recovery.metadata import (
     TornMetadata,
     read_torn_metadata,
@@ -240,11 +237,15 @@ class _Copy:
             return
         self._channels.pop(definition.id, None)
         schema = self._schemas.get(definition.schema_id)
-        if schema is not None and not _meaning(schema).is_usable:
-            # One type that is damaged makes a bag unreadable for rosbags, with all topics.
-            schema = jazzy_schema(schema) or (schema if _meaning(schema).is_text else None)
         if schema is None:
             return
+        if not _meaning(schema).is_usable:
+            # One type that is damaged makes a bag unreadable for rosbags, with all topics.
+            known = text_of_jazzy(schema.name)
+            if known is not None:
+                schema = Schema(schema.id, known.definition.encode(), "ros2msg", schema.name)
+            elif not _meaning(schema).is_text:
+                return
         if _meaning(schema).is_ros:
             definition.message_encoding = "cdr"  # ROS 2 knows no other: what differs is damaged
         kind = (schema.name, schema.encoding, schema.data)
