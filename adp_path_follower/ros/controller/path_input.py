@@ -4,8 +4,8 @@ The control thread hands over bytes and takes a route; a newer path supersedes a
 """
 
 import contextlib
-import threading
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,7 +22,6 @@ from adp_path_follower.ros.runtime.path_frame import PathFrame
 from adp_path_follower.ros.runtime.qos import EVERY_STEP, LATCHED
 
 _BENDS_MORE = 3.0  # times its poses: a path that does is told of
-_CLOSING_TIME = 0.5  # [s], longer than most paths take
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,58 +85,40 @@ class PathIntake:
     """Answers the latest request in a thread."""
 
     def __init__(self, ready: Callable[[], None], fit: Fit = route_of_message) -> None:
-        """Start the thread, which calls `fit` and `ready`."""
+        """Take what the thread calls: `fit` for each request, `ready` when the latest is done."""
         self._ready, self._fit = ready, fit
-        self._changed = threading.Condition()
-        self._request: PathRequest | None = None
-        self._answer: PathAnswer | None = None
-        self._closed = False
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
+        self._thread = ThreadPoolExecutor(1)
+        self._latest: Future[PathAnswer] | None = None
 
     def submit(self, request: PathRequest) -> None:
         """Ask for a route; what was asked before is dropped."""
-        with self._changed:
-            self._request, self._answer = request, None
-            self._changed.notify()
+        self.cancel()
+        self._latest = self._thread.submit(answer, request, self._fit)
+        self._latest.add_done_callback(self._tell)
 
     def cancel(self) -> None:
         """Drop what was asked."""
-        with self._changed:
-            self._request = self._answer = None
+        dropped, self._latest = self._latest, None
+        if dropped is not None:
+            dropped.cancel()
 
     def take(self, settings: PathSettings) -> PathAnswer | None:
         """Return the latest answer, once, or None; ask again where the settings have changed."""
-        with self._changed:
-            found, self._answer = self._answer, None
-        if found is not None and settings != found.request.settings:
+        if self._latest is None or not self._latest.done():
+            return None
+        found, self._latest = self._latest.result(), None
+        if settings != found.request.settings:
             self.submit(replace(found.request, settings=settings))
             return None
         return found
 
     def close(self) -> None:
-        """End the thread after what it is at, which is waited for only briefly."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-        self._thread.join(_CLOSING_TIME)
+        """End the thread after what it is at, without waiting for that."""
+        self.cancel()
+        self._thread.shutdown(wait=False)
 
-    def _work(self) -> None:
-        done: PathRequest | None = None
-        while True:
-            with self._changed:
-                while not self._closed and (self._request is None or self._request is done):
-                    self._changed.wait()
-                if self._closed:
-                    return
-                request = self._request
-            assert request is not None  # it was waited for
-            found = answer(request, self._fit)
-            with self._changed:
-                done = request
-                if self._request is not request or self._closed:
-                    continue
-                self._answer = found
+    def _tell(self, done: Future[PathAnswer]) -> None:
+        if done is self._latest:
             self._ready()
 
 
