@@ -199,7 +199,6 @@ class HalfAngleBasis(Basis):
     """
 
     def __init__(self, basis: Basis) -> None:
-        """Take the basis whose s and y are to be a and b."""
         self._basis = basis
         self.labels = tuple(
             re.sub(r"(?<![a-z])[sy](?![a-z])", lambda found: "ab"[found[0] == "y"], label)

@@ -23,8 +23,8 @@ from timing import Row, arguments, in_turns, ratio, report
 
 from adp_path_follower.core.basis import Basis, PolynomialBasis
 from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.control.policy import saturate
-from adp_path_follower.core.geometry import FloatArray, advance_pose
+from adp_path_follower.core.control.virtual_target import VirtualTarget
+from adp_path_follower.core.geometry import FloatArray, advance_pose, pose_in_frame
 from adp_path_follower.core.learning.knot_model import KnotModel, fit
 from adp_path_follower.core.path.library import lissajous
 from adp_path_follower.core.settings.groups import Settings
@@ -171,13 +171,12 @@ def policy_of(drive: Drive) -> Callable[[], object]:
     for _ in range(300):
         drive.tick()
     follower = drive.follower
-    frame = follower.path.frame(follower.arc_length)
+    target = VirtualTarget(follower.path, drive.settings.target, follower.arc_length)
     error = np.array([0.05, -0.03, 0.1])
-    limits, v_des = drive.settings.limits, follower.profile.speed(follower.arc_length)
+    target.move(pose_in_frame(error, follower.path.frame(follower.arc_length).pose), 0.0)
 
     def call() -> object:
-        here = follower.law.situation(frame, error, follower.arc_length, v_des)
-        return saturate(follower.law.actor_input(here), here.feedforward, limits)
+        return follower.law.actor_input(follower.law.situation(target, target.v_des))
 
     return call
 

@@ -35,7 +35,6 @@ class RiccatiPolicy:
     """The policy of the value function q^T P q with q = [a, b, theta], the half-angle error."""
 
     def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
-        """Take R, the limits and P along the path."""
         self._limits = settings.limits
         self._riccati = riccati
         self._input_cost_inverse = settings.cost.inverse_input_cost()
@@ -94,7 +93,6 @@ class Fallback:
     """Lets the Riccati policy drive where the learned one is doubtful."""
 
     def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
-        """Take R, the limits and P along the path; begin without doubt."""
         self._policy, self._distrust = RiccatiPolicy(settings, riccati), Distrust()
         self.reset = self._distrust.reset
         nothing = np.full(3, _NOTHING)
@@ -106,12 +104,12 @@ class Fallback:
         bellman_error: FloatArray,
         running_cost: FloatArray,
         value: FloatArray,
+        learned: FloatArray,
+        drives: np.ndarray,
+        dt: float,
         zeta: FloatArray,
         curvature: FloatArray,
-        learned: FloatArray,
         feedforward: FloatArray,
-        dt: float,
-        drives: np.ndarray,
     ) -> FloatArray:
         """Return the share of the Riccati policy from 0 to 1, dt [s] after the last, shape (...).
 

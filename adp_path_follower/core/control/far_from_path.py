@@ -74,6 +74,7 @@ _NOTCH = 0.25
 _SPACING = 2.0 * math.pi / len(HEADINGS)  # [rad]
 _MOST_COVERED = 3.0  # [m] over which the coming curvature is averaged
 _PLACES = (np.arange(9) + 0.5) / 9.0  # of these, as shares
+_CHANGE_TIME = 1.0  # [s] from one policy to another
 _GRID_LEVELS = 0.7  # of `wide_region_levels`: the grid is exact where the learned policy is not yet
 
 
@@ -91,13 +92,6 @@ def without_values(settings: Settings) -> Settings:
     """Return the settings to drive with until values are found, which takes no control step."""
     policy = dataclasses.replace(settings.policy, wide_region="approach")
     return dataclasses.replace(settings, policy=policy)
-
-
-def far_levels(settings: Settings) -> tuple[float, float]:
-    """Return the errors, in half-widths of the samples, between which the policy changes."""
-    start, end = settings.policy.wide_region_levels
-    scale = _GRID_LEVELS if settings.policy.wide_region == "value_grid" else 1.0
-    return scale * start, scale * end
 
 
 class GridPolicy:
@@ -211,13 +205,19 @@ class ApproachPolicy:
 class WideRegion:
     """A policy that takes over from the learned one outside the region of the samples."""
 
-    def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
-        """Take levels, limits and kind from the settings."""
+    def __init__(
+        self, settings: Settings, riccati: RiccatiSchedule, before: "WideRegion | None" = None
+    ) -> None:
+        """Take levels, limits and kind from the settings; lead over from the policy before."""
         self._settings, self._riccati = settings, riccati
+        self._before, self._since = before, 0.0  # [s] from that one on
         self._kind = settings.policy.wide_region
-        self._levels = far_levels(settings)
+        # Errors, in half-widths of the samples, between which the policy changes.
+        self._levels = settings.policy.wide_region_levels
         self._half_widths = settings.half_widths
         if self._kind == "value_grid":
+            start, end = self._levels
+            self._levels = _GRID_LEVELS * start, _GRID_LEVELS * end
             self._half_widths[:2] *= min(1.0, problem_of(settings).length_scale)
         self._widths: list[float] = self._half_widths.tolist()
         self._is_own = self._kind not in WIDE_REGIONS
@@ -253,12 +253,30 @@ class WideRegion:
         zeta: FloatArray,
         curvature: FloatArray,
         feedforward: FloatArray,
+        dt: float = 0.0,
     ) -> FloatArray:
         """Return the modified input, shape (..., 2), learned near the path and this far from it.
 
         The learned input is within the limits, (..., 2), and the target at `arc_length` [m] (...);
-        the rest is as in `modified_input`.
+        the rest is as in `modified_input`, dt [s] after the last step.
         """
+        place = (arc_length, zeta, curvature, feedforward)
+        here = self._blend(learned, *place)
+        self._since += dt
+        if self._before is None or self._since >= _CHANGE_TIME:
+            return here
+        before = self._before._blend(learned, *place)
+        return before + self._since / _CHANGE_TIME * (here - before)
+
+    def _blend(
+        self,
+        learned: FloatArray,
+        arc_length: FloatArray,
+        zeta: FloatArray,
+        curvature: FloatArray,
+        feedforward: FloatArray,
+    ) -> FloatArray:
+        """Return the input of this policy alone."""
         share = self.share(zeta)[..., None]
         if not (share > 0.0).any():
             return learned

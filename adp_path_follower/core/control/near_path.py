@@ -13,8 +13,6 @@ import numpy as np
 from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 
 _WEIGHT = 120.0  # [1/m^2] of y at least, as a multiple of the cost of the turn rate
@@ -23,16 +21,13 @@ _WEIGHT = 120.0  # [1/m^2] of y at least, as a multiple of the cost of the turn 
 class NearPath:
     """Adds to the input what a larger cost of y asks for, close to the path."""
 
-    def __init__(
-        self, settings: Settings, path: Path, riccati: RiccatiSchedule, profile: SpeedProfile
-    ) -> None:
-        """Solve the Riccati equation for the larger cost, along the path."""
+    def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
         self._reach, self._limits = settings.policy.tight_within, settings.limits
         self._inverse = settings.cost.inverse_input_cost()
         cost = settings.cost.state_cost_matrix()
         cost[1, 1] = max(cost[1, 1], _WEIGHT * settings.cost.input_cost_matrix()[1, 1])
         tight = dataclasses.replace(settings.cost, state_cost=tuple(cost.ravel().tolist()))
-        self._more = RiccatiSchedule(path, settings.target, tight, profile)
+        self._more = RiccatiSchedule(riccati.path, settings.target, tight, riccati.profile)
         self._more.table = self._more.table - riccati.table
 
     def held(

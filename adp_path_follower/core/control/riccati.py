@@ -14,7 +14,7 @@ from scipy.linalg import solve_continuous_are
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedProfile
+from adp_path_follower.core.path.speed_profile import ConstantSpeed, Speeds
 from adp_path_follower.core.settings.groups import CostSettings, TargetSettings
 
 INPUT_MATRIX = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])  # B
@@ -126,14 +126,14 @@ class RiccatiSchedule:
         path: Path,
         target: TargetSettings,
         cost: CostSettings,
-        profile: SpeedProfile | ConstantSpeed | None = None,
+        profile: Speeds | None = None,
     ) -> None:
-        """Solve the Riccati equation over the path's curvatures, and the speeds of a profile."""
+        """Solve the equation over the path's curvatures and a profile's speeds, or one speed."""
         self.path = path
+        self.profile = profile = profile or ConstantSpeed(target)
         low, high = path.curvature_range
         low = max(min(low, 0.0), -_MOST_CURVATURE)  # the tangents beyond the ends are straight
         high = min(max(high, 0.0), _MOST_CURVATURE)
-        profile = profile or ConstantSpeed(target)
         most = _MOST_NODES_BY_SPEED if profile.varies else _MOST_NODES
         count = int(np.clip(np.ceil((high - low) / _CURVATURE_STEP) + 1, 2, most))
         nodes = np.linspace(low, high, count) if high > low else np.array([0.0, 1.0])

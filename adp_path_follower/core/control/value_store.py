@@ -21,12 +21,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from adp_path_follower.core.control.value_grid import (
-    DistantValue,
-    GridAxes,
-    PolarAxes,
-    ValueGrid,
-)
+from adp_path_follower.core.control.value_grid import DistantValue, GridAxes, PolarAxes, ValueGrid
 from adp_path_follower.core.control.value_iteration import METHOD, ValueProblem, solve
 from adp_path_follower.core.files import write_whole
 from adp_path_follower.core.settings.groups import Settings

@@ -33,6 +33,8 @@ class VirtualTarget:
         self.v_des = self._reference.speed(self.arc_length)  # [m/s], (...), or one number
         self._path, self._target = path, target
         self._most_speed = target.desired_speed + target.target_gain * MOST_LEAD
+        self.frame: PathFrame  # of the path there, after the first `move`, ...
+        self.error: FloatArray  # ... and the robot's error in it, (..., 3)
         self._previous_error: FloatArray | None = None
 
     def hold(self) -> None:
@@ -61,9 +63,9 @@ class VirtualTarget:
             if self._reference.stops:
                 self.arc_length = np.minimum(self.arc_length, self._path.length)
         self.v_des = self._reference.speed(self.arc_length)
-        frame = self._path.frame(self.arc_length)
-        self._previous_error = tracking_error(pose, frame.pose)
-        return frame, self._previous_error
+        self.frame = self._path.frame(self.arc_length)
+        self.error = self._previous_error = tracking_error(pose, self.frame.pose)
+        return self.frame, self.error
 
     def coming_curvature(self, time: float) -> FloatArray:
         """Return the curvature [1/m] half way to where it will be after a time [s], (...)."""

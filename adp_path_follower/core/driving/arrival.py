@@ -79,7 +79,6 @@ class Goal:
     """The end of an open path; a closed one has none."""
 
     def __init__(self, path: Path, motion: MotionSettings, stops: bool) -> None:
-        """Take the end of the path, its tolerances and whether the robot brakes to it."""
         self.reached: np.ndarray = np.zeros((), dtype=bool)  # shape (...)
         self.problem = ""  # why one robot will not get there
         self._open, self._length = not path.closed, path.length

@@ -66,18 +66,12 @@ class Driver:
         saved_weights: SavedWeights | None = None,
         tell: Callable[[str], object] = bool,
         counts: Counts = _NOTHING,
-        tell_start: Callable[[str, bool], object] = lambda text, left_out: None,
+        tell_start: Callable[[str], object] = bool,
     ) -> None:
-        """Begin without a path.
+        """Begin without a path, with the counts of before.
 
-        Args:
-            settings: All settings.
-            saved_weights: Weights of another run to start from, on paths for which they hold.
-            tell: Called with a sentence where they do not.
-            counts: Resets, restarts and stops before.
-            tell_start: Called with where following begins, and whether a part of the path is left
-                out.
-
+        Saved weights hold on some paths. `tell` is called with a sentence where they do not, or
+        where a part of the path is left out, `tell_start` with where following begins otherwise.
         """
         self.settings = settings
         self.saved_weights, self._tell, self._tell_start = saved_weights, tell, tell_start
@@ -150,10 +144,8 @@ class Driver:
     def prepared(self, settings: Settings) -> Change:
         """Return the change to other settings, which `take_over` makes at once.
 
-        Raises:
-            SettingsError: No policy can be found for them, or the robot is on a route in reverse
-                that they do not allow.
-
+        Raises SettingsError if no policy can be found for them, or if the robot is on a route in
+        reverse that they do not allow.
         """
         segments = () if self.route is None else self.route.segments
         if any(segment.reverse for segment in segments) and settings.limits.min_linear_vel >= 0.0:
@@ -249,11 +241,8 @@ class Driver:
         Command, error and target pose are the robot's own, also in reverse. Learning from
         the step waits for `learn`, so that the command can be sent before.
 
-        Motion is odometry's v, w and age [s]; without it the robot's model is not used.
-
-        Raises:
-            SettingsError: No policy can be found for these settings on this path.
-
+        Motion is odometry's v, w and age [s]; without it the robot's model is not used. Raises
+        SettingsError if no policy can be found for these settings on this path.
         """
         moved = math.dist(pose[:2], self._pose[:2])
         if self._actuation.stopped and moved > CARRIED:
@@ -357,10 +346,10 @@ class Driver:
         along = place.along(route)
         text = f"{'goes on' if goes_on else 'begins'} at {along:.1f} of {route.length:.1f} m"
         chosen = goes_on or route.closed or controller.path_start == "arc_length"
-        left_out = along > NOISE and not chosen
-        if left_out:
-            text += ": the path before is left out, unless path_start is 'beginning'"
-        self._tell_start(text, left_out)
+        if along > NOISE and not chosen:
+            self._tell(f"{text}: the path before is left out, unless path_start is 'beginning'")
+        else:
+            self._tell_start(text)
         last, end = len(route.segments) - 1, route.segments[-1].path
         off = math.dist(end.frame(end.length).pose[:2], pose[:2])
         short = max(off, route.length) <= self.settings.motion.xy_goal_tolerance

@@ -50,16 +50,10 @@ class PathFollower:
         weights: Weights | None = None,
         actuation: Actuation | None = None,
     ) -> None:
-        """Start at an arc length [m] of the path.
+        """Start with virtual targets at arc lengths [m] of the path, one for each robot (...).
 
-        Args:
-            settings: All settings.
-            path: The path to follow.
-            arc_length: Where the virtual target starts [m], one for each robot of a batch.
-            weights: Where the one set of weights of scheduling: path_state starts; by default
-                the settings' initial weights.
-            actuation: The robot's recent commands; by default it is at rest.
-
+        The one set of weights of scheduling: path_state starts from `weights`, by default the
+        settings' initial ones. `actuation` has recent commands; by default robots are at rest.
         """
         self.path = path
         self.profile = SpeedProfile(path, settings)
@@ -72,15 +66,13 @@ class PathFollower:
         if settings.learning.scheduling == "arc_length":
             # Robots that do not learn share their weights.
             batch = self.arc_length.shape if settings.learning.learning else ()
-            self._learner = PathLearner(settings, path, riccati, self.profile, batch)
+            self._learner = PathLearner(settings, riccati, batch)
         else:
-            self._learner = PathStateLearner(settings, path, riccati, weights, self.profile)
+            self._learner = PathStateLearner(settings, riccati, weights)
         near_path: NearPath | None = None
         if settings.robot.robot_model != "ideal" and settings.policy.tight_within > 0.0:
-            near_path = NearPath(settings, path, riccati, self.profile)
-        self.law = CommandLaw(
-            settings, riccati, self._learner, self._actuation, self.profile, near_path
-        )
+            near_path = NearPath(settings, riccati)
+        self.law = CommandLaw(settings, riccati, self._learner, self._actuation, near_path)
         self.cost = np.zeros_like(self.arc_length)
         self._previous: FollowerOutput | None = None
         self._period = 0.0  # [s] of the last step
@@ -92,7 +84,7 @@ class PathFollower:
 
     @settings.setter
     def settings(self, settings: Settings) -> None:
-        self.law.settings = settings
+        self.law.change(settings)
 
     @property
     def arc_length(self) -> FloatArray:
@@ -118,12 +110,7 @@ class PathFollower:
         Moves the virtual target over the past period, computes error and command there, then
         learns for one period. The first step, and the first one after `hold`, lets no time pass.
         With an actuation delay, all this is where the robot will be when the command takes effect.
-
-        Args:
-            pose: Where the robots are.
-            dt: Time since the last step.
-            learn: False leaves learning to a call of `learn`, before anything else is done.
-
+        Without `learn`, learning is left to a call of `learn` before anything else is done.
         """
         elapsed = max(dt, 0.0)  # since the last command, which another follower may have given
         self._actuation.advance(elapsed)
@@ -132,12 +119,12 @@ class PathFollower:
             dt = 0.0
         if self._previous is None or self._actuation.stopped:
             self.reference.launch(self.arc_length, self._actuation.command[..., 0])
-        frame, error = self._target.move(pose, dt)
+        self._target.move(pose, dt)
         coming = None  # the paper's law feeds forward the curvature at the target
         if self.settings.learning.scheduling == "arc_length":
             held = min(dt, _MOST_HELD) or 1.0 / self.settings.controller.controller_frequency
             coming = self._target.coming_curvature(held)
-        output = self.law.step(frame, error, self.arc_length, self._target.v_des, dt, coming)
+        output = self.law.step(self._target, dt, coming)
         self._actuation.send(output.command, self.settings)
         self.goal.look(pose, output, dt)
         if self._previous is not None:
@@ -159,11 +146,7 @@ class PathFollower:
     def lead(self, pose: FloatArray, ahead: FloatArray, time: float) -> None:
         """Let the target move on before the first step, as commands take a time [s] to act.
 
-        Args:
-            pose: Where the robots are, shape (..., 3).
-            ahead: Where they will be by then, shape (..., 3).
-            time: The time until the first command acts [s].
-
+        The robots are at a pose (..., 3), and will be ahead at another one (..., 3) by then.
         """
         self._target.move(pose, 0.0)
         self._target.move(ahead, time)
@@ -183,20 +166,16 @@ class PathFollower:
         return self.step(pose, elapsed, learn)
 
     def learn_at_rest(self, pose: FloatArray, distance: float = 20.0) -> bool:
-        """Learn with robot and target held where they are; return whether the weights settled.
+        """Learn with robots held at a pose (..., 3); return whether the weights settled.
 
-        Args:
-            pose: Where the robot is, shape (..., 3).
-            distance: How far ahead is learned, where weights change along the path [m].
-
+        Where weights change along the path, they are learned for a distance [m] ahead.
         """
         self.hold()
-        frame, error = self._target.move(pose, 0.0)
+        self._target.move(pose, 0.0)
         self._target.hold()
 
         def measure() -> BellmanErrors:
-            v_des = self._target.v_des
-            return self.law.step(frame, error, self.arc_length, v_des, 0.0).measured
+            return self.law.step(self._target, 0.0).measured
 
         return self._learner.settle(Observation(self.arc_length, measure, distance))
 
@@ -204,7 +183,8 @@ class PathFollower:
         """Let no time pass until the next step: the robot was stopped, or not observed."""
         self._previous = None
         self._target.hold()
-        self.law.hold()
+        if self.law.fallback is not None:
+            self.law.fallback.reset()  # at once it is decided anew which policy drives
         self._actuation.stop(forget=True)
 
     def reset_learning(self, where: np.ndarray | None = None) -> None:

@@ -7,13 +7,7 @@ import numpy as np
 
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray, Number, clamped
-from adp_path_follower.core.learning.weights import (
-    LearnedWeights,
-    Weights,
-    initial_weights,
-)
-from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import SpeedProfile
+from adp_path_follower.core.learning.weights import LearnedWeights, Weights, initial_weights
 from adp_path_follower.core.settings.groups import Settings
 
 _MOST_KNOTS = 8192  # that are remembered: 5 MB for each of critic and actor
@@ -35,17 +29,9 @@ class KnotWeights:
     robot has been near.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        path: Path,
-        riccati: RiccatiSchedule,
-        profile: SpeedProfile,
-        robots: int = 1,
-    ) -> None:
-        learning = settings.learning
+    def __init__(self, settings: Settings, riccati: RiccatiSchedule, robots: int) -> None:
+        learning, path = settings.learning, riccati.path
         self._learning, self._path, self._riccati = learning, path, riccati
-        self._profile = profile
         count = max(1, math.ceil(path.length / learning.knot_spacing))
         self.spacing = path.length / count if path.closed else learning.knot_spacing  # h [m]
         preview = learning.preview_distance * settings.stretch
@@ -135,7 +121,7 @@ class KnotWeights:
         slope = critic_step / self.spacing
         if not math.isfinite(float(np.vdot(actor, critic))):  # perhaps a weight is not
             sound = self._sound(critic, actor)[..., None]
-            speed = self._profile.model_speed(arc_length)
+            speed = self._riccati.profile.model_speed(arc_length)
             safe = self.safe(self._path.curvature(arc_length), speed)
             critic, actor = np.where(sound, critic, safe), np.where(sound, actor, safe)
             slope = np.where(sound, slope, 0.0)
@@ -155,7 +141,7 @@ class KnotWeights:
     def about(self, knots: np.ndarray) -> tuple[FloatArray, FloatArray]:
         """Return mean curvature [1/m] and speed of models [m/s] about each knot, (K,) each."""
         arc_length = (knots[:, None] + _NODES) * self.spacing
-        speed = np.broadcast_to(self._profile.model_speed(arc_length), arc_length.shape)
+        speed = np.broadcast_to(self._riccati.profile.model_speed(arc_length), arc_length.shape)
         return self._path.curvature(arc_length).mean(axis=1), speed.mean(axis=1)
 
     def safe(self, curvature: FloatArray, speed: Number) -> FloatArray:

@@ -15,13 +15,9 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.bellman import BellmanErrors, Observation, bellman_errors
 from adp_path_follower.core.learning.samples import sample_grid
 from adp_path_follower.core.learning.update_laws import follow, least_squares, update_weights
-from adp_path_follower.core.learning.weights import (
-    LearnedWeights,
-    Weights,
-    initial_weights,
-)
+from adp_path_follower.core.learning.weights import LearnedWeights, Weights, initial_weights
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedProfile
+from adp_path_follower.core.path.speed_profile import ConstantSpeed, Speeds
 from adp_path_follower.core.settings.groups import Settings
 
 _REST_STEP = 0.1  # [s] of learning at rest
@@ -32,7 +28,7 @@ _SETTLED_CHANGE = 1e-9
 class SampledModel:
     """The model of the error dynamics at a grid of sampled states, for Bellman extrapolation."""
 
-    def __init__(self, settings: Settings, path: Path, profile: SpeedProfile | None = None) -> None:
+    def __init__(self, settings: Settings, path: Path, profile: Speeds | None = None) -> None:
         basis = settings.learning.value_basis
         self.states = sample_grid(
             settings.learning.sample_half_widths, settings.learning.samples_per_axis
@@ -85,16 +81,11 @@ class PathStateLearner:
     problem = ""  # the printed laws have no safe policy to fall back on
 
     def __init__(
-        self,
-        settings: Settings,
-        path: Path,
-        riccati: RiccatiSchedule,
-        weights: Weights | None,
-        profile: SpeedProfile | None = None,
+        self, settings: Settings, riccati: RiccatiSchedule, weights: Weights | None
     ) -> None:
         """Start from weights, by default from the initial ones of the settings."""
-        self._learning, self._path = settings.learning, path
-        self._model = SampledModel(settings, path, profile)
+        self._learning, self._path = settings.learning, riccati.path
+        self._model = SampledModel(settings, riccati.path, riccati.profile)
         speed = np.asarray(settings.target.desired_speed)
         self._initial = initial_weights(settings.learning, riccati, np.zeros(()), speed)
         self.weights = self._initial if weights is None else weights

@@ -25,8 +25,6 @@ from adp_path_follower.core.learning.paper_learner import PathStateLearner
 from adp_path_follower.core.learning.sweep import Group, KnotCritic, Sweep
 from adp_path_follower.core.learning.update_laws import follow
 from adp_path_follower.core.learning.weights import LearnedWeights, Weights
-from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 
 _REST_SHARE = 4  # a learner rests while its robot passes one of so many parts of the preview
@@ -53,24 +51,18 @@ class PathLearner:
     """Learns the weights at the knots ahead of each robot of a batch; one robot has shape ()."""
 
     def __init__(
-        self,
-        settings: Settings,
-        path: Path,
-        riccati: RiccatiSchedule,
-        profile: SpeedProfile | None = None,
-        shape: tuple[int, ...] = (),
+        self, settings: Settings, riccati: RiccatiSchedule, shape: tuple[int, ...] = ()
     ) -> None:
         """Start from the settings' initial weights; robots that do not learn may share them."""
         learning = settings.learning
-        self._settings, self._learning, self._path = settings, learning, path
-        self._profile = profile if profile is not None else SpeedProfile(path, settings)
+        self._settings, self._learning, self._riccati = settings, learning, riccati
         self._shape, self._count = shape, math.prod(shape)
         # The actor's norm may be that of the Riccati solution's weights at least.
         safe = learning.value_basis.quadratic_weights(riccati.table)
         self._bound = max(learning.actor_weight_bound, float(np.linalg.norm(safe, axis=-1).max()))
-        self._knots = KnotWeights(settings, path, riccati, self._profile, self._count)
+        self._knots = KnotWeights(settings, riccati, self._count)
         self._window = self._knots.window
-        self._model = knot_model(settings, self._knots.spacing, self._profile.varies)
+        self._model = knot_model(settings, self._knots.spacing, riccati.profile.varies)
         self._critic = KnotCritic(learning, len(self._model), self._knots)
         # The result of a least-squares sweep depends only on where it begins and ends: robots can
         # share it, and need no other one soon. A gradient goes on from its last weights.
@@ -156,7 +148,9 @@ class PathLearner:
         idle = np.flatnonzero(~(self._busy | resting))
         if not len(idle):
             return
-        self._forget_sweeps()
+        if sum(len(sweep.updates) for sweep in self._sweeps.values()) > _MOST_UPDATES:
+            used = [group.sweep for group in self._groups]
+            self._sweeps = {(sweep.near, sweep.far): sweep for sweep in used}
         far = ahead + self._reach
         for start, end, robots in self._together(idle, near, far):
             self._groups.append(Group(robots, self._sweep(start, end)))
@@ -189,11 +183,6 @@ class PathLearner:
                 self._sweeps[near, far] = sweep
         return sweep
 
-    def _forget_sweeps(self) -> None:
-        if sum(len(sweep.updates) for sweep in self._sweeps.values()) > _MOST_UPDATES:
-            used = [group.sweep for group in self._groups]
-            self._sweeps = {(sweep.near, sweep.far): sweep for sweep in used}
-
     def _work(self, group: Group, count: int, dt: float) -> None:
         """Use some samples of a group's knot, and go on to the next when all are used."""
         sweep, knots = group.sweep, self._knots
@@ -221,7 +210,8 @@ class PathLearner:
         if update.refusal:
             knots.actor[group.slots] = update.weights
             group.refused += 1
-        group.next_knot()
+        group.index += 1
+        group.slots, group.done, group.time = None, 0, 0.0
         if not group.ended:
             return
         self._busy[robots] = False
@@ -274,9 +264,10 @@ class PathLearner:
 
     def take_over(self, previous: "Learner") -> None:
         """Take over the weights of a learner of the same robots, path and problem."""
-        if not isinstance(previous, PathLearner) or previous._path is not self._path:
+        if not isinstance(previous, PathLearner) or previous._count != self._count:
             return
-        if previous._count != self._count or not previous._profile.same_as(self._profile):
+        before, now = previous._riccati, self._riccati
+        if before.path is not now.path or not before.profile.same_as(now.profile):
             return
         old, new = previous._settings, self._settings
         if (old.target, old.cost, old.limits) != (new.target, new.cost, new.limits):

@@ -36,7 +36,6 @@ class KnotCritic:
     """Turns the normal equations of a knot into its new critic weights."""
 
     def __init__(self, learning: LearningSettings, samples: int, knots: KnotWeights) -> None:
-        """Take gains and bounds, the number of samples, and where the Riccati solution is from."""
         self._learning, self._knots = learning, knots
         self._gain = learning.critic_gain_sampled / samples
 
@@ -117,11 +116,6 @@ class Group:
     done: int = 0  # how many samples of that knot are used for them
     time: float = 0.0  # how long they have been at it [s]
     refused: int = 0  # how many of its knots kept the Riccati solution
-
-    def next_knot(self) -> None:
-        """Turn to the next knot."""
-        self.index += 1
-        self.slots, self.done, self.time = None, 0, 0.0
 
     def keep(self, chosen: np.ndarray) -> None:
         """Let only the robots (n,) that are true stay in the group."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from adp_path_follower.core.errors import FileError, SettingsError
+from adp_path_follower.core.errors import AdpError, FileError
 from adp_path_follower.core.files import parse_yaml, write_whole
 from adp_path_follower.core.learning.path_learner import MODEL_SETTINGS
 from adp_path_follower.core.learning.weights import LearnedWeights
@@ -98,7 +98,7 @@ def decode(content: bytes, name: str) -> SavedWeights:
         settings = _checked_settings(head.get("settings"))
         learned = _checked(head, parts, len(settings.learning.value_basis.labels))
         robot = _checked_robot(head.get("robot", []))
-    except (_DamageError, SettingsError) as damage:
+    except AdpError as damage:
         raise FileError(f"{name} cannot be used, {damage}: {_AGAIN}") from None
     digest = hashlib.sha256(content).hexdigest()[:16]
     return SavedWeights(problem_settings(settings), learned, digest, robot)
@@ -141,18 +141,14 @@ def write_weights(file: FilePath, content: bytes) -> None:
         ) from None
 
 
-class _DamageError(Exception):
-    """Says why a file that is one of weights cannot be used."""
-
-
 def _checked_settings(values: Any) -> Settings:
     """Return the settings that a file names, the others at their defaults."""
     if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
-        raise _DamageError("as it names no settings")
+        raise FileError("as it names no settings")
     settings = build(Settings, values)
     for name in problem_settings(settings):
         if name not in values:
-            raise _DamageError(f"as it does not say which '{name}' its weights belong to")
+            raise FileError(f"as it does not say which '{name}' its weights belong to")
     return settings
 
 
@@ -162,7 +158,7 @@ def _checked_robot(values: Any) -> tuple[float, ...]:
         return ()
     numbers = isinstance(values, list) and all(isinstance(value, float) for value in values)
     if not numbers or len(values) != len(fields(RobotModel)) or not RobotModel(*values).possible:
-        raise _DamageError("as its robot is none")
+        raise FileError("as its robot is none")
     return tuple(values)
 
 
@@ -172,22 +168,22 @@ def _checked(
     """Return the weights of a basis with so many terms."""
     length, closed, reach = head.get("length"), head.get("closed"), head.get("reach")
     if not isinstance(length, float) or not 0.0 < length < math.inf:
-        raise _DamageError("as it does not say how long its path is")
+        raise FileError("as it does not say how long its path is")
     if not isinstance(closed, bool) or type(reach) is not int or not 0 <= reach <= 10**6:
-        raise _DamageError("as it does not say what its path is")
+        raise FileError("as it does not say what its path is")
     count = arrays["knots"].shape[0] if arrays["knots"].ndim == 1 else -1
     shapes = {"knots": (count,), "curvature": (count,), "speed": (count,)}
     for name, kind in _ARRAYS.items():
         array, shape = arrays[name], shapes.get(name, (count, size))
         if array.shape != shape or array.dtype != np.dtype(kind):
-            raise _DamageError(
+            raise FileError(
                 f"as its '{name}' has the shape {array.shape} and the type {array.dtype}, not "
                 f"{shape} and {np.dtype(kind)}"
             )
         if not np.isfinite(array).all():
-            raise _DamageError(f"as its '{name}' is not finite")
+            raise FileError(f"as its '{name}' is not finite")
     if not (np.diff(arrays["knots"]) > 0).all() or np.abs(arrays["knots"]).max(initial=0) > 10**12:
-        raise _DamageError("as its 'knots' do not rise")
+        raise FileError("as its 'knots' do not rise")
     return LearnedWeights(
         length=length, closed=closed, reach=reach, **{name: arrays[name] for name in _ARRAYS}
     )

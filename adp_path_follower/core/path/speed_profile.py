@@ -51,13 +51,16 @@ class ConstantSpeed:
     def spend(self, arc_length: FloatArray, time: float) -> None:
         """Note how a time [s] is spent: it is never late."""
 
+    def same_as(self, other: Speeds) -> bool:
+        """Return whether the speeds are the same everywhere."""
+        return isinstance(other, ConstantSpeed) and other.highest == self.highest
+
 
 class SpeedProfile:
     """v_des at every arc length of a path."""
 
     @np.errstate(over="ignore")  # infinite ones are no limits
     def __init__(self, path: Path, settings: Settings) -> None:
-        """Find the speeds at nodes along the path."""
         target, limits, motion = settings.target, settings.limits, settings.motion
         self._desired, fastest = target.desired_speed, float(limits.upper[0])
         self.highest = min(target.desired_speed, fastest)
@@ -106,8 +109,10 @@ class SpeedProfile:
         speed = np.sqrt(np.maximum(self._squared, self.slowest**2))
         return np.append(0.0, np.cumsum(2.0 * self._step / (speed[1:] + speed[:-1])))
 
-    def same_as(self, other: SpeedProfile) -> bool:
+    def same_as(self, other: Speeds) -> bool:
         """Return whether the speeds are the same everywhere."""
+        if not isinstance(other, SpeedProfile):
+            return False
         mine, theirs = (self._step, self._desired), (other._step, other._desired)
         return mine == theirs and np.array_equal(self._squared, other._squared)
 
@@ -172,6 +177,9 @@ class SpeedProfile:
         return np.asarray(squared)
 
 
+Speeds = SpeedProfile | ConstantSpeed
+
+
 class RampedSpeed:
     """The speed along a profile of a robot that changes it by a ramp.
 
@@ -198,16 +206,7 @@ class RampedSpeed:
 
 
 class SpeedReference:
-    """The profile, approached from the robot's speed within its accelerations.
-
-    Attributes:
-        profile: The profile itself.
-        stops: Whether the robot brakes to the end of the path.
-        rise: By how much v_des^2 may rise along the path, from the start on [m/s^2].
-        start: Where it was launched [m], and v_des^2 there, (...) each; None before.
-        late: By how much a ramp has made it later than the profile since then [s], (...).
-
-    """
+    """The profile, approached from the robot's speed within its accelerations."""
 
     def __init__(self, profile: SpeedProfile, settings: Settings) -> None:
         """Take the accelerations; the profile holds from the start until `launch` is called."""
@@ -215,10 +214,11 @@ class SpeedReference:
         self.profile, self._forgets = profile, settings.target.target_gain
         self.stops, self._ramp = profile.stops, math.inf
         self._ramped: RampedSpeed | None = None
-        self.late: Number = 0.0
-        self.rise = 2.0 * SHARE * motion.max_linear_accel
+        self.late: Number = 0.0  # than the profile by a ramp since the launch [s], (...)
+        self.rise = 2.0 * SHARE * motion.max_linear_accel  # of v_des^2 along the path [m/s^2]
         self._fall = 2.0 * SHARE * motion.max_linear_decel
         self._limited = math.isfinite(self.rise) or math.isfinite(self._fall)
+        # Where it was launched [m], and v_des^2 there, (...) each; None before.
         self.start: tuple[FloatArray, Number] | None = None
 
     @property

@@ -19,7 +19,7 @@ from adp_path_follower.ros.controller.commands import WATCH_PERIOD, Commands, Wa
 from adp_path_follower.ros.controller.far_values import FarValues
 from adp_path_follower.ros.controller.follow_path_action import FollowPathAction, Site
 from adp_path_follower.ros.controller.odometry_input import OdometryInput
-from adp_path_follower.ros.controller.parts import ControllerParts, heard_topics, start_teller
+from adp_path_follower.ros.controller.parts import ControllerParts
 from adp_path_follower.ros.controller.path_input import PathAnswer, PathInput
 from adp_path_follower.ros.controller.path_process import Fit, route_of_message
 from adp_path_follower.ros.controller.speed_limit_input import SpeedLimitInput
@@ -69,9 +69,9 @@ class PathFollowerNode(Ending, LifecycleNode):
 
     def _forget_run(self) -> None:
         """Return to the state before any message."""
-        told, log = start_teller(self.get_logger()), self.get_logger()
+        log = self.get_logger()
         settings = self._values.drivable(self.settings)
-        self.driver = Driver(settings, self._weights.saved, log.warning, tell_start=told)
+        self.driver = Driver(settings, self._weights.saved, log.warning, tell_start=log.info)
         self._step_time: int | None = None
         self._last_command: FloatArray = _ZERO
         self._clock_time = 0
@@ -109,7 +109,6 @@ class PathFollowerNode(Ending, LifecycleNode):
             path,
             FollowPathAction(self, path, self._site),
             limit,
-            heard_topics(self, limit),
             Watchdog(self, self._watch),
             self._weights.entities(),
         )
@@ -382,7 +381,7 @@ class PathFollowerNode(Ending, LifecycleNode):
         self._next_diagnostics = steady.monotonic() + 1.0
         self._parts.telemetry.diagnostics(
             *(self._now(), self.status, self._shown_since, self._parts.path.problem),
-            *(self.driver, self._parts.topics.problem()),
+            *(self.driver, self._parts.topic_problem(self)),
         )
 
     def _publish_configuration(self) -> None:

@@ -36,25 +36,18 @@ def repeat_until_delivered(
             steady.sleep(_PAUSE)
 
 
-class TopicCheck:
-    """Compares publishers with what the node's subscriptions need."""
+def unheard(node: Node, expected: Mapping[str, tuple[tuple[str, ...], QoSProfile]]) -> str:
+    """Return why a topic is not heard, empty if all are; it takes a tenth of a millisecond.
 
-    def __init__(self, node: Node, expected: Mapping[str, tuple[tuple[str, ...], QoSProfile]]):
-        """Take the types and the quality of service of each expected topic."""
-        self._node, self._expected = node, expected
-
-    def problem(self) -> str:
-        """Return why a topic is not heard, empty if all are; it takes a tenth of a millisecond."""
-        return next(filter(None, map(self._problem, self._expected)), "")
-
-    def _problem(self, topic: str) -> str:
-        types, wanted = self._expected[topic]
-        name = self._node.resolve_topic_name(topic)
-        for info in self._node.get_publishers_info_by_topic(name):
+    Each expected topic has the types and the quality of service that its subscription needs.
+    """
+    for topic, (types, wanted) in expected.items():
+        name = node.resolve_topic_name(topic)
+        for info in node.get_publishers_info_by_topic(name):
             if info.topic_type not in types:
                 return f"{name} has the type {info.topic_type}, but must be {' or '.join(types)}"
             compatible, reason = qos_check_compatible(info.qos_profile, wanted)
             if compatible == QoSCompatibility.ERROR:
                 why = reason.removeprefix("ERROR: ").rstrip("; ")
                 return f"{name} of {info.node_name} is not heard: {why}"
-        return ""
+    return ""

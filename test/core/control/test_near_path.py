@@ -27,8 +27,8 @@ TURNED = [1.0, 0.1, 0.1, 2.0]  # a cost of the inputs that couples them
 
 def parts(**values):
     tuning, path = build(Settings, values), named_path(f"circle:{CURVATURE}")
-    riccati = RiccatiSchedule(path, tuning.target, tuning.cost)
-    return tuning, NearPath(tuning, path, riccati, SpeedProfile(path, tuning))
+    riccati = RiccatiSchedule(path, tuning.target, tuning.cost, SpeedProfile(path, tuning))
+    return tuning, NearPath(tuning, riccati)
 
 
 def solution(tuning, least):

@@ -28,7 +28,8 @@ class Robot:
         self.told, self.warned = [], []
         self.driver = Driver(
             build(Settings, values),
-            tell_start=lambda text, left_out: (self.warned if left_out else self.told).append(text),
+            tell=self.warned.append,
+            tell_start=self.told.append,
         )
         self.driver.follow(route)
         self.time = 0

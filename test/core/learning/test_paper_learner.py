@@ -34,7 +34,7 @@ PAPER = {"basis": "paper", "scheduling": "path_state", "frame": "serret_frenet"}
 
 
 def learner_of(values, start=None):
-    return PathStateLearner(build(Settings, values), EIGHT, SCHEDULE, start)
+    return PathStateLearner(build(Settings, values), SCHEDULE, start)
 
 
 def samples(seed, count):

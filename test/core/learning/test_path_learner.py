@@ -14,6 +14,7 @@ from adp_path_follower.core.learning import knot_weights
 from adp_path_follower.core.learning.bellman import Observation
 from adp_path_follower.core.learning.path_learner import PathLearner
 from adp_path_follower.core.path.library import circle, lissajous, named_path
+from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 
@@ -29,8 +30,9 @@ LISTED = (0.5, 0.1, 0.2, 0.6, 0.5, 1.0)
 
 def learner_of(path, shape=(), **values):
     tuning = build(Settings, values)
-    riccati = RiccatiSchedule(path, tuning.target, tuning.cost)
-    return PathLearner(tuning, path, riccati, shape=shape)
+    profile = SpeedProfile(path, tuning)
+    riccati = RiccatiSchedule(path, tuning.target, tuning.cost, profile)
+    return PathLearner(tuning, riccati, shape)
 
 
 def riccati_weights(path, place, **values):

@@ -29,8 +29,8 @@ def learners(path, count, values):
     tuning = build(Settings, {**SMALL, **values})
     profile = SpeedProfile(path, tuning)
     riccati = RiccatiSchedule(path, tuning.target, tuning.cost, profile)
-    fleet = PathLearner(tuning, path, riccati, profile, (count,))
-    return fleet, [PathLearner(tuning, path, riccati, profile) for _ in range(count)]
+    fleet = PathLearner(tuning, riccati, (count,))
+    return fleet, [PathLearner(tuning, riccati) for _ in range(count)]
 
 
 def at(places, distance=0.0):

@@ -182,7 +182,6 @@ def test_without_the_cause_learning_goes_on(cause):
     assert drive.follower.learning_problem == ""
     settled = PathLearner(
         build(Settings, {}),
-        EIGHT,
         drive.follower._learner._knots._riccati,  # of the same problem
     )
     assert settled.settle(at(drive.follower.arc_length, 2.0))
@@ -231,7 +230,7 @@ def test_weights_that_are_not_finite_are_replaced_at_once_and_learned_anew(
     drive.steps(60)
     assert follower.learning_problem == ""
     drive.steps(340)
-    settled = PathLearner(follower.settings, EIGHT, follower._learner._knots._riccati)
+    settled = PathLearner(follower.settings, follower._learner._knots._riccati)
     assert settled.settle(at(follower.arc_length, 2.0))
     target = settled.local(follower.arc_length).critic
     np.testing.assert_allclose(follower.weights.actor, target, atol=0.03 * np.abs(target).max())
@@ -248,7 +247,7 @@ def test_without_learning_weights_that_are_not_finite_are_replaced_as_well():
 def test_only_the_robot_whose_weights_are_not_finite_has_the_riccati_policy():
     tuning = build(Settings, SMALL)
     schedule = RiccatiSchedule(EIGHT, tuning.target, tuning.cost)
-    learner = PathLearner(tuning, EIGHT, schedule, shape=(2,))
+    learner = PathLearner(tuning, schedule, (2,))
     places = np.array([10.0, 40.0])
     learner.settle(at(places, 1.0))
     before = learner.local(places)

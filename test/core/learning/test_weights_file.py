@@ -143,9 +143,9 @@ def test_weights_along_another_path_are_not_used(name, told):
     driver = Driver(first.settings, first.follower.saved_weights(), complaints.append)
     found, _ = drive(driver, path, 3, pose)
     np.testing.assert_array_equal(found, drive(Driver(first.settings), path, 3, pose)[0])
-    assert len(complaints) == 1
-    assert told in complaints[0]
-    assert "\n" not in complaints[0]
+    (complaint,) = [text for text in complaints if "left out" not in text]  # another warning
+    assert told in complaint
+    assert "\n" not in complaint
 
 
 def test_a_path_as_long_that_bends_elsewhere_is_another():
