@@ -1,6 +1,7 @@
 """Gather the messages of one topic as numbers, little by little."""
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,8 +83,11 @@ class Columns:
             for chosen, stamps, values in self._decoder.decode(self._waiting)
         ]
         if blocks:
-            if self._width is None:
-                self._width = _usual_width([values for _, _, values in blocks])
+            if self._width is None:  # that of most: the first one's may be a damaged length
+                widths: Counter[int] = Counter()
+                for _, _, values in blocks:
+                    widths[values.shape[1]] += len(values)
+                self._width = widths.most_common(1)[0][0]
             first = min(int(chosen[0]) for chosen, _, _ in blocks)
             text = self._decoder.text(self._waiting[first])
             if self._stamped and not self._pieces:
@@ -107,14 +111,6 @@ class Columns:
             if self._stamped:
                 stamps[chosen] = block_stamps
         self._pieces.append((stamps[kept], times[kept], rows[kept]))
-
-
-def _usual_width(blocks: list[FloatArray]) -> int:
-    """Return the number of columns that most rows have; the first one's may be a damaged length."""
-    counts: dict[int, int] = {}
-    for values in blocks:
-        counts[values.shape[1]] = counts.get(values.shape[1], 0) + len(values)
-    return max(counts, key=lambda width: counts[width])
 
 
 def _planar(values: FloatArray) -> FloatArray:

@@ -30,6 +30,7 @@ class Transforms:
 
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
+        self._parents: dict[str, str] = {}  # of frames whose place is known
 
     def take(self, arrival: int, raw: bytes, is_static: bool) -> None:
         """Take a serialised message (CdrError if it is none); a frame keeps its first parent."""
@@ -38,6 +39,7 @@ class Transforms:
             edge = self._edges.setdefault(child, _Edge(parent, is_static=is_static))
             if edge.parent == parent and np.isfinite(item.pose).all():
                 edge.rows.append((arrival, item.stamp, *item.pose))
+                self._parents[child] = parent
 
     def moved(
         self, poses: FloatArray, source: str, target: str, times: np.ndarray, by_arrival: bool
@@ -47,7 +49,7 @@ class Transforms:
         `times` [ns] (N,) are arrivals or stamps. Returns None where the bag has no way to the
         frame.
         """
-        way = way_between(self._parent, source, target)
+        way = way_between(self._parents, source, target)
         if way is None:
             return None
         rising, falling, _ = way
@@ -59,10 +61,6 @@ class Transforms:
             place, near = self._place(frame, times, by_arrival)
             poses, known = tracking_error(poses, place), known & near
         return np.where(known[:, None], poses, np.nan)
-
-    def _parent(self, frame: str) -> str | None:
-        edge = self._edges.get(frame)
-        return edge.parent if edge is not None and edge.rows else None
 
     def _place(
         self, frame: str, times: np.ndarray, by_arrival: bool

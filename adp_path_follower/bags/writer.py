@@ -196,7 +196,20 @@ class BagWriter:
         self._files.append(file)
 
     def _write_metadata(self) -> None:
-        write_metadata(self.directory, {**self._content(), **self._information})
+        """Write a whole metadata.yaml in one step; after an OSError the one before is there."""
+        content = yaml.dump(
+            {"rosbag2_bagfile_information": {**self._content(), **self._information}},
+            Dumper=_PlainDumper,
+            sort_keys=False,
+            allow_unicode=True,
+        )
+        temporary = self.directory / f"{NAME}.tmp"
+        try:
+            temporary.write_text(content, encoding="utf-8")
+            temporary.replace(self.directory / NAME)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
         self._metadata_is_old = False
 
     def _content(self) -> dict[str, Any]:
@@ -235,23 +248,6 @@ class BagWriter:
 
 
 _FASTEST_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-def write_metadata(directory: FilePath, information: Mapping[str, Any]) -> None:
-    """Write a whole metadata.yaml in one step; after an OSError the one before is still there."""
-    content = yaml.dump(
-        {"rosbag2_bagfile_information": dict(information)},
-        Dumper=_PlainDumper,
-        sort_keys=False,
-        allow_unicode=True,
-    )
-    temporary = directory / f"{NAME}.tmp"
-    try:
-        temporary.write_text(content, encoding="utf-8")
-        temporary.replace(directory / NAME)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def _span(files: Sequence[BagFile]) -> dict[str, Any]:

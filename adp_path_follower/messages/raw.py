@@ -7,7 +7,7 @@ read and written as the few numbers that count, in a tenth of rclpy's time.
 """
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -118,7 +118,7 @@ def read_transforms(raw: bytes) -> list[Transform]:
 
 
 def way_between(
-    parent_of: Callable[[str], str | None], source: str, target: str
+    parents: Mapping[str, str], source: str, target: str
 ) -> tuple[list[str], list[str], str] | None:
     """Return the frames below a shared one, from a source up and from it down to a target.
 
@@ -126,7 +126,7 @@ def way_between(
     """
     up, down = ([frame] for frame in (source, target))
     for found in (up, down):
-        while (parent := parent_of(found[-1])) is not None and len(found) < _DEEPEST:
+        while (parent := parents.get(found[-1])) is not None and len(found) < _DEEPEST:
             found.append(parent)
     shared = next((frame for frame in up if frame in down), None)
     if shared is None:

@@ -67,7 +67,8 @@ def project(
     away = np.hypot(*(led - poses)[:, :2].T)
     arc_length = _between(path, poses, anchors, places, away)
     pieces = [slice(at, at + _PIECE) for at in range(0, len(poses), _PIECE)]
-    return Projection.joined([_exact(path, poses[rows], arc_length[rows]) for rows in pieces])
+    parts = [vars(_exact(path, poses[rows], arc_length[rows])).values() for rows in pieces]
+    return Projection(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _led(path: Path, poses: FloatArray, target: FloatArray) -> FloatArray:

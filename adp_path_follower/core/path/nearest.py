@@ -4,7 +4,6 @@ A path may cross itself, and the nearest place on the whole path would then jump
 the other. A search near the last place stays on its branch.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,12 +25,6 @@ class Projection:
     arc_length: FloatArray  # place abreast of the robot [m]; grows over the laps of a closed path
     cross_track: FloatArray  # distance from the path [m], positive to its left
     heading: FloatArray  # heading less that of the path [rad], in [-pi, pi)
-
-    @classmethod
-    def joined(cls, parts: Sequence["Projection"]) -> "Projection":
-        """Return the rows of some projections, one behind the other."""
-        columns = zip(*(vars(part).values() for part in parts), strict=True)
-        return cls(*map(np.concatenate, columns))
 
 
 def best_place(path: Path, pose: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -7,6 +7,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
+from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.safety.odometry_check import (
     Measurement,
@@ -15,7 +16,7 @@ from adp_path_follower.core.safety.odometry_check import (
     OdometryProblem,
 )
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.ros.runtime.conversions import MessageError, measurement_of
+from adp_path_follower.ros.runtime.conversions import measurement_of
 
 
 class OdometryInput:
@@ -54,7 +55,7 @@ class OdometryInput:
     def _receive(self, raw: bytes) -> None:
         try:
             found = measurement_of(raw)
-        except MessageError as error:
+        except AdpError as error:
             self._refuse(OdometryProblem(str(error)))
             return
         told = self._missing_twist.missing

@@ -22,15 +22,14 @@ from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.output import FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.route import Route
-from adp_path_follower.core.robot.robot import Robot
 from adp_path_follower.core.safety.supervisor import State, Status
 from adp_path_follower.core.settings.groups import ControllerSettings
+from adp_path_follower.messages.raw import stamped_numbers
 from adp_path_follower.ros.runtime.conversions import (
     array_message,
     make_header,
     pose_message,
     pose_stamped,
-    vector_stamped,
 )
 from adp_path_follower.ros.runtime.qos import (
     ALL_CHANGES,
@@ -112,7 +111,7 @@ class Telemetry:
         self._listeners_known_until = self._next_marker = 0.0
         self._lossless = lossless
         self._logger = node.get_logger()
-        self._learning_problem = self._robot_problem = ""
+        self._learning_problem = ""
         self._status = _quiet_publisher(node, DiagnosticStatus, "~/status", LATCHED)
         self._last_status: DiagnosticStatus | None = None
         self._name = node.get_fully_qualified_name()  # two robots share /diagnostics
@@ -157,7 +156,7 @@ class Telemetry:
         if kind is PoseStamped:
             return pose_stamped(time, frame, value)
         if kind is Vector3Stamped:
-            return vector_stamped(time, frame, value)
+            return stamped_numbers(time, frame, value.tolist())
         if kind is Float64MultiArray:
             return array_message(self._labels, value)
         return Float64(data=float(value))
@@ -168,7 +167,7 @@ class Telemetry:
         Values are x, y, theta, shape (3,), and v, w and the age of the odometry [s], shape (3,).
         """
         for publisher, numbers in zip(self._measured, values, strict=True):
-            publisher.publish(vector_stamped(time, frame, numbers))
+            publisher.publish(stamped_numbers(time, frame, numbers.tolist()))
 
     def _steps_to_tell(self, time: int) -> list[tuple[Publisher, type, str]]:
         """Return what to publish of a step at a time [ns]; to count subscribers is expensive."""
@@ -213,13 +212,6 @@ class Telemetry:
         """Publish what this run is: settings, version and path, as YAML."""
         self._configuration.publish(String(data=text))
 
-    def robot_model(self, robot: Robot) -> dict[str, str]:
-        """Publish what is known of a robot, unless it is taken for ideal; return it as text."""
-        self._robot_problem, report = robot.problem, robot.report
-        if report:
-            self._robot.publish(array_message(tuple(report), np.array([*report.values()])))
-        return {name: f"{value:.4g}" for name, value in report.items()}
-
     def learning(self, problem: str) -> bool:
         """Say when the Riccati policy takes over, for a problem, and back; return if it did."""
         if problem == self._learning_problem:
@@ -243,7 +235,7 @@ class Telemetry:
         driver: Driver,
         topic_problem: str = "",
     ) -> None:
-        """Publish the state (which began at `since` [ns]), problems of topics, and learning.
+        """Publish the state (which began at `since` [ns]), problems, and what was learned.
 
         On /diagnostics always, with all values; on ~/status, which is latched, when it changes.
         """
@@ -251,14 +243,17 @@ class Telemetry:
         if driver.follower is not None:
             values["arc_length [m]"] = f"{float(driver.follower.arc_length):.3f}"
             values["cost"] = f"{float(driver.follower.cost):.6g}"
-        values.update(self.robot_model(driver.robot))
+        report = driver.robot.report  # empty of a robot that is taken for ideal
+        if report:
+            self._robot.publish(array_message(tuple(report), np.array([*report.values()])))
+        values.update({name: f"{value:.4g}" for name, value in report.items()})
         level = _LEVELS[status.state]
         message = status.state.value + (f": {status.cause}" if status.cause else "")
         for head, problem, severity in (
             ("path rejected: ", path_problem, DiagnosticStatus.ERROR),
             ("", topic_problem, DiagnosticStatus.WARN),
             (_RICCATI, self._learning_problem, DiagnosticStatus.WARN),
-            (_IDEAL, self._robot_problem, DiagnosticStatus.WARN),
+            (_IDEAL, driver.robot.problem, DiagnosticStatus.WARN),
         ):
             if problem:
                 level = max(level, severity)

@@ -1,4 +1,4 @@
-"""Between ROS messages and the core's arrays; bad messages raise `MessageError`."""
+"""Between ROS messages and the core's arrays."""
 
 import math
 
@@ -15,10 +15,6 @@ from adp_path_follower.messages.cdr import CdrError
 from adp_path_follower.messages.raw import read_odometry, stamped_numbers
 
 NANOSECONDS = 1_000_000_000
-
-
-class MessageError(AdpError, ValueError):
-    """Report a message that cannot be used."""
 
 
 def stamp_nanoseconds(header: Header) -> int:
@@ -39,22 +35,22 @@ def quaternion_of(yaw: float) -> Quaternion:
 
 
 def measurement_of(raw: bytes) -> Measurement:
-    """Return the content of serialised odometry; MessageError if a robot cannot have it."""
+    """Return the content of serialised odometry; AdpError if a robot cannot have it."""
     try:
         found = read_odometry(raw)
     except CdrError as error:
-        raise MessageError(f"odometry cannot be read: {error}") from None
+        raise AdpError(f"odometry cannot be read: {error}") from None
     squared_norm = sum(part * part for part in found.quaternion)
     if not math.isfinite(squared_norm):
         x, y, z, w = found.quaternion
-        raise MessageError(f"odometry orientation is not finite: x {x}, y {y}, z {z}, w {w}")
+        raise AdpError(f"odometry orientation is not finite: x {x}, y {y}, z {z}, w {w}")
     if squared_norm < 1e-6:
-        raise MessageError("odometry orientation is a quaternion of zero norm")
+        raise AdpError("odometry orientation is a quaternion of zero norm")
     if not found.frame:
-        raise MessageError("odometry has no frame: set header.frame_id, as in 'odom'")
+        raise AdpError("odometry has no frame: set header.frame_id, as in 'odom'")
     (x, y, _), v, w = found.position, found.linear, found.angular
     if not all(map(math.isfinite, (x, y, v, w))):
-        raise MessageError(f"odometry is not finite: x {x}, y {y}, v {v}, w {w}")
+        raise AdpError(f"odometry is not finite: x {x}, y {y}, v {v}, w {w}")
     return Measurement(
         stamp=found.seconds * NANOSECONDS + found.nanoseconds,
         pose=np.array([x, y, yaw_of_quaternion(*found.quaternion)]),
@@ -106,11 +102,6 @@ def twist_stamped(time: int, frame: str, command: FloatArray) -> bytes:
     """Return a command [v, w] with a stamp [ns] as a serialised TwistStamped."""
     v, w = command.tolist()
     return stamped_numbers(time, frame, (v, 0.0, 0.0, 0.0, 0.0, w))
-
-
-def vector_stamped(time: int, frame: str, values: FloatArray) -> bytes:
-    """Return e = [s, y, theta], or a pose [x, y, theta], as a serialised Vector3Stamped."""
-    return stamped_numbers(time, frame, values.tolist())
 
 
 def array_message(labels: tuple[str, ...], values: FloatArray) -> Float64MultiArray:

@@ -68,15 +68,13 @@ class DirectExecutor(SingleThreadedExecutor):
             _answer(subscription)
         # Events are looked for where nothing else was ready: they do not go away by themselves.
         quiet = not timers and not subscriptions
-        if guards or services or clients or self._tasks or (quiet and self._has_events()):
+        events = quiet and any(waitable.is_ready(wait_set) for waitable in self._waitables)
+        if guards or services or clients or self._tasks or events:
             self._leave_to_rclpy(guards)
 
     def _require_context(self) -> None:
         if not self._context.ok():
             raise ExternalShutdownException
-
-    def _has_events(self) -> bool:
-        return any(waitable.is_ready(self._wait_set) for waitable in self._waitables)
 
     def _leave_to_rclpy(self, guards: list[int]) -> None:
         """Let rclpy do one thing; guard conditions whose pointers are given were triggered."""

@@ -63,15 +63,12 @@ class LiveSettings(Generic[Tree]):
         self._node, self._settings, self._prepare = node, settings, prepare
         self._fields = {field.name: field for field in setting_fields(type(settings))}
         self._prepared: tuple[Tree, Callable[[], None]] | None = None
-        node.add_pre_set_parameters_callback(self._typed)
+        node.add_pre_set_parameters_callback(lambda changes: [*map(self._typed, changes)])
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._take_over)
 
-    def _typed(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Return parameters typed as their settings: `ros2 param load` sends 1.0e-06 as a text."""
-        return [self._as_numbers(parameter) for parameter in parameters]
-
-    def _as_numbers(self, parameter: Parameter) -> Parameter:
+    def _typed(self, parameter: Parameter) -> Parameter:
+        """Return a parameter typed as its setting: `ros2 param load` sends 1.0e-06 as a text."""
         field = self._fields.get(parameter.name)
         if field is None or float not in (field.kind, field.item_kind):
             return parameter

@@ -49,8 +49,9 @@ class Frames:
 
         self._node, self._type = node, TFMessage
         self._subscriptions: list[Any] = []
-        # Child frame -> its parent, its pose in it (3,), and the stamp [ns], None if static.
-        self._edges: dict[str, tuple[str, FloatArray, int | None]] = {}
+        self._parents: dict[str, str] = {}
+        # Child frame -> its pose in its parent (3,), and the stamp [ns], None if static.
+        self._edges: dict[str, tuple[FloatArray, int | None]] = {}
         self._known: dict[tuple[str, str], FramePlace] = {}
 
     def destroy(self) -> None:
@@ -84,29 +85,26 @@ class Frames:
         for item in found:
             if math.isfinite(sum(item.pose)):
                 stamp = None if is_static else item.stamp
-                self._edges[item.child] = item.parent, np.array(item.pose), stamp
+                self._parents[item.child] = item.parent
+                self._edges[item.child] = np.array(item.pose), stamp
         # Most transforms are of joints, which are on no way to a path.
         changed = {item.child for item in found}
         if any(changed.intersection(place.between) for place in self._known.values()):
             self._known.clear()
 
     def _found(self, frame: str, within: str) -> FramePlace:
-        way = way_between(self._parent, frame, within)
+        way = way_between(self._parents, frame, within)
         if way is None:
             raise FrameError(f"no transform from '{frame}' to '{within}' is known")
         rising, falling, shared = way
         pose = np.zeros(3)
         for name in rising:
-            pose = pose_in_frame(pose, self._edges[name][1])
+            pose = pose_in_frame(pose, self._edges[name][0])
         for name in falling:
-            pose = tracking_error(pose, self._edges[name][1])
-        stamps = [self._edges[name][2] for name in (*rising, *falling)]
+            pose = tracking_error(pose, self._edges[name][0])
+        stamps = [self._edges[name][1] for name in (*rising, *falling)]
         oldest = min((stamp for stamp in stamps if stamp is not None), default=None)
         return FramePlace(pose, oldest, (*rising, shared, *falling))
-
-    def _parent(self, frame: str) -> str | None:
-        edge = self._edges.get(frame)
-        return None if edge is None else edge[0]
 
 
 class PathFrame:
