@@ -8,7 +8,7 @@ lengths in one step.
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,9 +36,17 @@ def aligned(at: int, size: int) -> int:
     return at + -(at - HEADER) % size
 
 
+def numbers_at(form: str, raw: bytes, at: int) -> tuple[Any, ...]:
+    """Return numbers of a form of `struct` at a place; CdrError if the message is too short."""
+    try:
+        return struct.unpack_from(form, raw, at)
+    except struct.error:
+        raise too_short() from None
+
+
 def text_at(raw: bytes, at: int, order: str) -> tuple[str, int]:
-    """Return a string, and where it ends; CdrError or struct.error if the message is too short."""
-    (size,) = struct.unpack_from(f"{order}I", raw, at)
+    """Return a string, and where it ends; CdrError if the message is too short."""
+    (size,) = numbers_at(f"{order}I", raw, at)
     end = at + 4 + size
     if end > len(raw):
         raise too_short()
@@ -97,7 +105,7 @@ class MessageDecoder:
             first = messages[rest[0]]
             try:
                 layout = self._layout(first)
-            except (CdrError, struct.error):
+            except CdrError:
                 self.broken += 1
                 rest = rest[1:]
                 continue
@@ -148,7 +156,7 @@ class MessageDecoder:
 
         def length(at: int) -> int:
             lengths.append(at)
-            (count,) = struct.unpack_from(f"{order}I", message, at)
+            (count,) = numbers_at(f"{order}I", message, at)
             return int(count)
 
         at, count = HEADER, self._kind.count

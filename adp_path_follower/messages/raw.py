@@ -21,6 +21,7 @@ from adp_path_follower.messages.cdr import (
     aligned,
     byte_order,
     check_end,
+    numbers_at,
     text_at,
     too_short,
 )
@@ -46,13 +47,9 @@ class PathPoses:
 def read_path(raw: bytes) -> PathPoses:
     """Return the content of a serialised nav_msgs/Path; raise CdrError if it is none."""
     frame, at, order = _header(raw)
-    try:
-        at = aligned(at, 4)
-        (count,) = struct.unpack_from(f"{order}I", raw, at)
-        numbers = _numbers(raw, at + 4, int(count), order)
-    except struct.error:
-        raise too_short() from None
-    return PathPoses(frame, _planar(numbers))
+    at = aligned(at, 4)
+    (count,) = numbers_at(f"{order}I", raw, at)
+    return PathPoses(frame, _planar(_numbers(raw, at + 4, count, order)))
 
 
 class OdometryNumbers(NamedTuple):
@@ -71,15 +68,12 @@ class OdometryNumbers(NamedTuple):
 def read_odometry(raw: bytes) -> OdometryNumbers:
     """Return the content of a serialised nav_msgs/Odometry; raise CdrError if it is none."""
     frame, at, order = _header(raw)
-    try:
-        child_frame, at = text_at(raw, aligned(at, 4), order)
-        at = aligned(at, 8)
-        pose = struct.unpack_from(f"{order}7d", raw, at)
-        at += _POSE + _COVARIANCE
-        twist = struct.unpack_from(f"{order}6d", raw, at)
-        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, HEADER)
-    except struct.error:
-        raise too_short() from None
+    child_frame, at = text_at(raw, aligned(at, 4), order)
+    at = aligned(at, 8)
+    pose = numbers_at(f"{order}7d", raw, at)
+    at += _POSE + _COVARIANCE
+    twist = numbers_at(f"{order}6d", raw, at)
+    seconds, nanoseconds = numbers_at(f"{order}iI", raw, HEADER)
     if at + _TWIST + _COVARIANCE > len(raw):
         raise too_short()
     return OdometryNumbers(
@@ -100,20 +94,17 @@ def read_transforms(raw: bytes) -> list[Transform]:
     """Return the content of a serialised tf2_msgs/TFMessage; raise CdrError if it is none."""
     order = byte_order(raw)
     found, at = [], HEADER + 4
-    try:
-        (count,) = struct.unpack_from(f"{order}I", raw, HEADER)
-        for _ in range(count):
-            at = aligned(at, 4)
-            seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, at)
-            parent, at = text_at(raw, at + STAMP, order)
-            child, at = text_at(raw, aligned(at, 4), order)
-            x, y, _, *turn = struct.unpack_from(f"{order}7d", raw, aligned(at, 8))
-            at = aligned(at, 8) + _POSE
-            pose = x, y, yaw_of_quaternion(*turn)
-            found.append(Transform(seconds * _NANOSECONDS + nanoseconds, parent, child, pose))
-        check_end(raw, at)
-    except struct.error:
-        raise too_short() from None
+    (count,) = numbers_at(f"{order}I", raw, HEADER)
+    for _ in range(count):
+        at = aligned(at, 4)
+        seconds, nanoseconds = numbers_at(f"{order}iI", raw, at)
+        parent, at = text_at(raw, at + STAMP, order)
+        child, at = text_at(raw, aligned(at, 4), order)
+        x, y, _, *turn = numbers_at(f"{order}7d", raw, aligned(at, 8))
+        at = aligned(at, 8) + _POSE
+        pose = x, y, yaw_of_quaternion(*turn)
+        found.append(Transform(seconds * _NANOSECONDS + nanoseconds, parent, child, pose))
+    check_end(raw, at)
     return found
 
 
@@ -164,10 +155,7 @@ def is_empty(raw: bytes) -> bool:
 def _header(raw: bytes) -> tuple[str, int, str]:
     """Return the frame, where the header ends, and the byte order; CdrError without a header."""
     order = byte_order(raw)
-    try:
-        return *text_at(raw, HEADER + STAMP, order), order
-    except struct.error:
-        raise too_short() from None
+    return *text_at(raw, HEADER + STAMP, order), order
 
 
 def _numbers(raw: bytes, at: int, count: int, order: str) -> FloatArray:

@@ -23,7 +23,7 @@ class SpeedLimitInput:
         """Subscribe; `answer` gets why each limit cannot hold, empty if it does."""
         self._node, self._settings, self._answer = node, settings, answer
         self._kinds: dict[str, tuple[type, Callable[[Any], None]]] = {
-            "std_msgs/msg/Float64": (Float64, self._receive)
+            "std_msgs/msg/Float64": (Float64, lambda message: self._set(message.data))
         }
         with contextlib.suppress(ImportError):
             from nav2_msgs.msg import SpeedLimit
@@ -51,9 +51,6 @@ class SpeedLimitInput:
     def _subscribe(self, name: str) -> None:
         self._type, (kind, receive) = name, self._kinds[name]
         self._subscription: Any = self._node.create_subscription(kind, "speed_limit", receive, 1)
-
-    def _receive(self, message: Float64) -> None:
-        self._set(message.data)
 
     def _receive_of_nav2(self, message: Any) -> None:
         """Take a limit in m/s, or in percent of the highest speed; 0 is none there."""
