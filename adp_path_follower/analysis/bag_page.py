@@ -236,7 +236,8 @@ def _learned_card(analysis: BagAnalysis) -> tuple[str, str, str]:
         return "learned", NOT_MEASURED, "the bag has no Bellman error while driving"
     late = time >= time[-1] - _LATE * (time[-1] - time[0])
     begun, ended = np.median(values[time <= time[0] + _EARLY]), np.median(values[late])
-    return "learned", f"{begun:.2g} → {ended:.2g}", "Bellman error, at first and at the end"
+    change = f"{begun:.2g} → {ended:.2g}".replace("-", "\u2212")  # a hyphen would end a line
+    return "learned", change, "Bellman error, at first and at the end"
 
 
 def _halted(analysis: BagAnalysis) -> str:
