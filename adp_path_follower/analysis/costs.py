@@ -118,7 +118,7 @@ def _cost(
     for step, period in enumerate(np.diff(time).tolist()):
         if time[step] < COST_HORIZON - 1e-6:
             arc_length: Any = np.float64(target.arc_length)  # a number is faster than an array
-            spent, _ = motion_cost(poses[step], commands[step], arc_length, period)
+            spent, *_ = motion_cost(poses[step], commands[step], arc_length, period)
             total += float(spent)
         target.move(poses[step + 1], period)
     return total, place, first

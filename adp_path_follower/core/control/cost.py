@@ -45,8 +45,8 @@ class MotionCost:
         arc_length: FloatArray,
         duration: float,
         frame: PathFrame | None = None,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the cost, and the virtual target's arc length [m] afterwards, shape (...) each.
+    ) -> tuple[FloatArray, FloatArray, PathFrame]:
+        """Return the cost (...), and the target's arc length [m] (...) and frame afterwards.
 
         Simpson's rule along the arc of a robot that starts at a pose (..., 3) and holds a twist [v,
         w] (..., 2), with the virtual target from `arc_length` [m] (...) on, where the path has
@@ -61,8 +61,9 @@ class MotionCost:
         middle, speed = self._rates(here, twist, place, self._path.frame(place))
         place = arc_length + duration * speed
         here = advance_pose(pose, v, w, duration)
-        last, _ = self._rates(here, twist, place, self._path.frame(place))
-        return duration / 6.0 * (first + 4.0 * middle + last), place
+        frame = self._path.frame(place)
+        last, _ = self._rates(here, twist, place, frame)
+        return duration / 6.0 * (first + 4.0 * middle + last), place, frame
 
     def _rates(
         self, pose: FloatArray, twist: FloatArray, arc_length: FloatArray, frame: PathFrame

@@ -366,7 +366,7 @@ class _ClosedLoop:
         step = period / count
         cost = np.zeros(self._starts.shape[:-1])
         arc_length = output.arc_length
-        frame: PathFrame | None = PathFrame(output.target_pose, output.curvature)
+        frame = PathFrame(output.target_pose, output.curvature)
         for _ in range(count):
             if self._faults is not None:
                 settings = self._faults.settings_at(self._undisturbed, self._robot.time)
@@ -374,9 +374,8 @@ class _ClosedLoop:
             start = self._robot.pose
             self._robot.step(command, step)
             twist = self._robot.twist
-            spent, arc_length = self._motion_cost(start, twist, arc_length, step, frame)
+            spent, arc_length, frame = self._motion_cost(start, twist, arc_length, step, frame)
             cost += spent
-            frame = None  # known at the beginning only
         return cost
 
 
