@@ -18,6 +18,9 @@ least as good as every variant of every peer on that robot, so each peer is tune
 Worst are ratios to the best peer's. Learned robots lose in RMS where the pose has 1 to 2 cm of
 noise, and in J where it is small, and the launch is most of it. On robots 200 to 239 the
 learned one is best in both on 82 %, the known one on 95 %; only corners among them were looked at.
+On 240 to 259 it is on 90 and 100 %. On eight that lose in RMS, the lateral estimate is wrong by
+2.4 mm after 8 s, and by 1.8 mm with the robot known: 2.1 mm with only delay and lags known, which
+are found 6 ms too long and 16 ms too short, 2.3 mm with only gains and bias known.
 """
 
 from __future__ import annotations
