@@ -181,8 +181,8 @@ class BagFile:
     def add_topic(self, topic: TopicDefinition) -> int:
         """Add a topic and return its number: 1 for the first one, and so on."""
         key = (topic.type_name, topic.schema_encoding, topic.schema)
-        if key not in self._schemas:
-            self._schemas[key] = self._mcap.register_schema(*key)
+        if key not in self._schemas:  # a type without a name is none
+            self._schemas[key] = self._mcap.register_schema(*key) if topic.type_name else 0
         number = self._mcap.register_channel(
             topic.name, topic.message_encoding, self._schemas[key], dict(topic.metadata)
         )

@@ -31,6 +31,7 @@ _MOST_TAIL, _MOST_SUMMARY = 64 * 1024, 32 * 1024 * 1024  # where a summary is lo
 _PROGRESS_STEP = 1024 * 1024
 _FOOTER = bytes([Opcode.FOOTER, 20]) + bytes(7)
 _FOOTER_SIZE = 29
+_NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")  # of channels in JSON, for one
 
 
 @dataclass(frozen=True)
@@ -236,7 +237,7 @@ class _Copy:
             self._schemas[definition.id] = definition
             return
         self._channels.pop(definition.id, None)
-        schema = self._schemas.get(definition.schema_id)
+        schema = self._schemas.get(definition.schema_id) if definition.schema_id else _NO_SCHEMA
         if schema is None:
             return
         if not _meaning(schema).is_usable:

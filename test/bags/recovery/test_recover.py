@@ -259,6 +259,25 @@ def test_service_events_of_a_sound_bag_are_kept(tmp_path, definition, chunked):
     assert torn_bags.schemas(new_file) == torn_bags.schemas(bag / "bag_0.mcap")
 
 
+@pytest.mark.parametrize("chunked", [False, True])
+def test_messages_without_a_schema_are_kept(tmp_path, chunked):
+    bag = tmp_path / "bag.mcap"
+    with bag.open("wb") as stream:
+        writer = Writer(stream, use_chunking=chunked)
+        writer.start(profile="ros2", library="x")
+        channel = writer.register_channel("/json", "json", 0)
+        for number in range(10):
+            writer.add_message(channel, number, b'{"a": %d}' % number, number)
+        writer.finish()
+    recovery = recover(bag, tmp_path / "new")
+    assert recovery.bytes_left == 0
+    expected = [("/json", number, number, b'{"a": %d}' % number) for number in range(10)]
+    with (recovery.bag / "new_0.mcap").open("rb") as stream:
+        messages = list(make_reader(stream).iter_messages())
+    assert [(c.topic, m.log_time, m.publish_time, m.data) for _, c, m in messages] == expected
+    assert all(schema is None for schema, _, _ in messages)
+
+
 def test_several_files_become_one_in_the_order_of_their_numbers(tmp_path):
     bag = tmp_path / "bag"
     bag.mkdir()
