@@ -23,7 +23,7 @@ from adp_path_follower.core.robot.robot import settings_of
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
-from adp_path_follower.study.optimum.costate import solve_costates
+from adp_path_follower.study.optimum.costate import Extremal, solve_costates
 from adp_path_follower.study.optimum.problem import OptimumError
 from adp_path_follower.study.simulation.simulate import simulate
 from sim_unicycle.settings import PlantSettings
@@ -247,10 +247,10 @@ def test_an_optimum_of_a_short_horizon_is_called_so(tmp_path):
 
 
 def test_a_check_that_disagrees_is_said(monkeypatch):
-    from adp_path_follower.study.optimum import costate
+    from adp_path_follower.cli import optimum as command
 
-    extremal = costate.Extremal(0.5418868 * (1.0 + 2e-5), np.zeros(4))
-    monkeypatch.setattr(costate, "solve_costates", lambda problem, motion: extremal)
+    extremal = Extremal(0.5418868 * (1.0 + 2e-5), np.zeros(4))
+    monkeypatch.setattr(command, "solve_costates", lambda problem, motion: extremal)
     done = adp("optimum", "--check")
     assert done.returncode == 1
     assert "is 0.5418868 by collocation, but 0.5418976 by costates" in done.stderr
