@@ -326,6 +326,8 @@ def _fitted(
             return Path.along(through.spline, through.parameter, through.closed)
         curve, step = smoothed(through, tolerance - through.moved)
         curve, _ = distinct_points(curve)
+        if through.closed:  # also where only one of its last points counts
+            curve[-1] = curve[0]
         return Path.along(*chord_spline(curve, through.closed), through.closed, step)
     except TurningBackError as error:
         nearest = int(np.argmin(np.hypot(*(poses.points - np.array(error.place)).T)))

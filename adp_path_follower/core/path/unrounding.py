@@ -19,6 +19,7 @@ _ROUNDS = 7  # of solving, with ten times the weight where points are too far aw
 _STEPS = 8.0  # times the rounding: over such a width the steps of dense points are averaged, ...
 _CUT = 0.9  # ... if that moves them by no more, in roundings
 _ALIKE, _NEAR = 4.0, 17  # times what is usual among so many points: no corner, but a curve
+_APART = 0.1  # roundings between neighbours, at least: distinct ones are a whole rounding apart
 _PINNED = 1e6  # weight of the ends
 _AROUND = 300  # points of a closed path beyond its ends
 
@@ -34,6 +35,8 @@ def unrounded(points: FloatArray, closed: bool, most: float) -> tuple[FloatArray
     if size > most or len(points) < _FEWEST:
         return points, 0.0
     means = averaged(points, _STEPS * size, _CUT * size)
+    if _nearest(means) < _APART * size:  # as at the tip of a cusp
+        return points, 0.0
     moved = _CUT * size if len(means) < len(points) else 0.0
     if closed:
         around = min(_AROUND, len(means) - 1)
@@ -42,7 +45,14 @@ def unrounded(points: FloatArray, closed: bool, most: float) -> tuple[FloatArray
         found = np.vstack([found, found[:1]])
     else:
         found = _smoothest(means, size)
+    if not _nearest(found) >= _APART * size:
+        return points, 0.0
     return found, moved + float(np.hypot(*(found - means).T).max())
+
+
+def _nearest(points: FloatArray) -> float:
+    """Return the least distance of points (N, 2) from the next one [m]."""
+    return float(np.hypot(*np.diff(points, axis=0).T).min())
 
 
 def _are_multiples(points: FloatArray, size: float) -> bool:
@@ -89,7 +99,7 @@ def _equations(points: FloatArray, size: float) -> tuple[FloatArray, FloatArray]
     bends = np.stack([factors[:, k, None] * points[k : count + k] for k in range(4)]).sum(axis=0)
     steps = np.abs(np.diff(bends, axis=0, prepend=bends[:1], append=bends[-1:])).max(axis=1)
     change = np.maximum(steps[:-1], steps[1:])
-    explained = size * np.abs(factors).sum(axis=1) + _ALIKE * median_filter(change, _NEAR)
+    explained = 8.0 * size + _ALIKE * median_filter(change, _NEAR)
     factors = factors * (change <= explained)[:, None]
     banded, wanted = np.zeros((4, len(points))), np.zeros_like(points)
     for first in range(4):
@@ -103,10 +113,11 @@ def _equations(points: FloatArray, size: float) -> tuple[FloatArray, FloatArray]
 def _third_differences(points: FloatArray) -> FloatArray:
     """Return what four neighbours of points (N, 2) count in their third difference, (N - 3, 4).
 
-    At even distances -1, 3, -3 and 1; else so that it is that of the divided differences.
+    At even distances -1, 3, -3 and 1; else in the proportions of the divided differences.
     """
     place = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     at = np.stack([place[k : len(place) - 3 + k] for k in range(4)])
     apart = at[:, None] - at[None]
     apart[np.arange(4), np.arange(4)] = 1.0
-    return np.asarray((6.0 * ((at[3] - at[0]) / 3.0) ** 3 / apart.prod(axis=1)).T)
+    factors = 1.0 / (apart / (at[3] - at[0])).prod(axis=1).T
+    return np.asarray(factors * (8.0 / np.abs(factors).sum(axis=1, keepdims=True)))

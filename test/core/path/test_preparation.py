@@ -1,5 +1,6 @@
 """Poses as they come, against the polyline that they make."""
 
+import contextlib
 import itertools
 import math
 
@@ -366,3 +367,20 @@ def test_rounded_coordinates_bend_no_path(spacing, decimals, bend):
     true = -0.81 * np.sin(place) / (1.0 + (0.9 * np.cos(place)) ** 2) ** 1.5
     assert np.abs(frame.curvature - true).max() < bend
     assert nearest_on(path, points).max() < 1.2 * 10.0**-decimals + 2e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rounded_points_at_any_distance_make_a_path(seed):
+    """Points along a line at random distances, a retraced line, and a loop of 4 mm."""
+    random = np.random.default_rng(seed)
+    uneven = np.sort(random.uniform(0.0, 0.05, 137))
+    there = np.linspace(0.0, 1.0, 97)
+    angle = np.linspace(0.0, math.tau, 29)
+    for points, chosen in [
+        (np.column_stack([np.zeros(137), uneven]), FORWARDS),
+        (np.column_stack([np.append(there, there[::-1]), np.zeros(194)]), BOTH_WAYS),
+        (0.002 * np.column_stack([np.sin(angle), np.cos(angle)]), FORWARDS),
+    ]:
+        for decimals in (2, 3, 4, 5, 6):
+            with contextlib.suppress(PathError):  # too few are left
+                assert np.isfinite(prepare(np.round(points, decimals), chosen).length)
