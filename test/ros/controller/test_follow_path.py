@@ -151,6 +151,21 @@ def test_many_preemptions_neither_stop_nor_jolt_the_robot(stepped, start, tmp_pa
     assert not any("passed over" in note for note in drive.notes)
 
 
+def until_at(peer, goal, within):
+    """Wait for the robot at a pose, within metres and 0.1 rad.
+
+    The last odometry may come after the result, but the robot goes nowhere else.
+    """
+
+    def is_there() -> bool:
+        pose = peer.received["odom"][-1].pose.pose
+        turn = goal[2] - 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+        away = math.dist((pose.position.x, pose.position.y), goal[:2])
+        return away < within and abs(math.remainder(turn, math.tau)) < 0.1
+
+    peer.until(is_there, "the robot at its goal")
+
+
 def test_goals_where_the_robot_is_are_reached(stepped, start):
     """A planner that plans again at its goal sends a single pose, or a step in any direction."""
     planner = stepped
@@ -159,28 +174,17 @@ def test_goals_where_the_robot_is_are_reached(stepped, start):
     for poses in ([[1.0, 0.0, 1.2]], [[1.02, 0.0, math.nan], [1.0, 0.0, 0.6]]):
         handles = [planner.send(np.array(poses)) for _ in range(5)]
         assert planner.result(handles[-1]) == (GoalStatus.STATUS_SUCCEEDED, 0)
-        pose = planner.peer.received["odom"][-1].pose.pose
-        assert math.dist((pose.position.x, pose.position.y), (1.0, 0.0)) < 0.05
-        heading = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
-        assert heading == pytest.approx(poses[-1][2], abs=0.1)
+        until_at(planner.peer, poses[-1], 0.05)
 
 
 def test_a_single_place_away_from_the_robot_is_reached_straight(stepped, start):
     """Also one behind it, or sent twice, as Nav2's controllers drive to the last pose."""
     planner = stepped
     planner.start_robot(start, lockstep=True)
-
-    def is_at(x: float, y: float, yaw: float) -> bool:
-        pose = planner.peer.received["odom"][-1].pose.pose
-        turn = yaw - 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
-        away = math.dist((pose.position.x, pose.position.y), (x, y))
-        return away < 0.02 and abs(math.remainder(turn, math.tau)) < 0.1
-
     for poses in ([[1.0, 0.5, -1.0]] * 3, [[0.8, 0.5, 0.0]], [[0.9, 0.5, 0.0]]):
         handle = planner.send(np.array(poses))
         assert planner.result(handle) == (GoalStatus.STATUS_SUCCEEDED, 0)
-        # The last odometry may come after the result, but the robot goes nowhere else.
-        planner.peer.until(lambda goal=poses[-1]: is_at(*goal), "the robot at its goal")
+        until_at(planner.peer, poses[-1], 0.02)
 
 
 def test_goals_that_cannot_be_reached_say_why(planner):
