@@ -16,6 +16,9 @@ _FILTER = 8.0  # times the noise: a smaller motion to and fro is none
 _LEAST_STRIDE = 0.05  # [m] between the ends of chords that noise hardly lengthens
 _NOISES = 20.0  # times the noise, likewise
 _ACROSS = 0.97  # share of a track that the steps along the heading must explain
+_ALIKE = 0.1  # share of the distance by which that of the velocity may be another, ...
+_ALIKE_WITHIN = 0.3  # [m] ... and besides
+_MOVING = 0.05  # [m/s]: the velocity of slower robots is mostly noise
 _NOISE_OF_DIFFERENCES = 0.6745 * math.sqrt(6.0)  # median |second difference| of noise of 1
 
 
@@ -29,6 +32,8 @@ class Motion:
     reach: FloatArray  # how far the robot may have driven since then [m], shape (N,)
     # Whether the robot, or its odometry, was put elsewhere in between, shape (N,).
     carried: np.ndarray
+    # Distance since then by the velocity of a robot that moves [m], NaN if of no use, shape (N,).
+    said: FloatArray
     noise: float  # standard deviation of the positions [m], as far as they tell
     position: FloatArray  # x, y [m], shape (N, 2)
 
@@ -45,6 +50,17 @@ class Motion:
                 total += own if own >= _ACROSS * chords else chords
                 total += float(self.hidden[rows[1:]].sum())
         return total
+
+    def doubts(self) -> list[str]:
+        """Return a sentence if poses and velocities tell of different distances."""
+        moving = (np.abs(self.said) > 0.0) & ~self.carried
+        found, said = self.distance(moving), float(np.abs(self.said[moving]).sum())
+        if not abs(found - said) > _ALIKE * found + _ALIKE_WITHIN:
+            return []
+        return [
+            f"the odometry's poses tell of {found:.4g} m, its velocities of {said:.4g} m: "
+            "one of them is wrong, or several nodes publish it"
+        ]
 
 
 def motion_of(time: FloatArray, poses: FloatArray, speed: FloatArray, cut: np.ndarray) -> Motion:
@@ -76,7 +92,8 @@ def motion_of(time: FloatArray, poses: FloatArray, speed: FloatArray, cut: np.nd
     turned = (speed * before < 0.0) & np.isfinite(said) & ~carried & (both > _FILTER * noise)
     hidden = np.where(turned, np.maximum(both - np.abs(along), 0.0), 0.0)
     reach = np.fmax(np.abs(along), np.abs(said))
-    return Motion(along, hidden, reach, carried, noise, poses[:, :2])
+    driven = np.where(both > _MOVING * period, said, 0.0)
+    return Motion(along, hidden, reach, carried, driven, noise, poses[:, :2])
 
 
 def _agrees(length: FloatArray, said: FloatArray) -> bool:

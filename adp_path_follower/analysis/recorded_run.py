@@ -121,6 +121,7 @@ def drive_of(bag: FilePath, run: Run, path: FloatArray | None = None) -> Drive:
     target = _target_at(time, learner.get("target"))
     projection = _projection(segments, segment_of_pose, followed.poses, motion, target)
     notes = [*run.notes, *line.notes, *followed.notes, *told.notes, *_far_off(projection)]
+    notes += motion.doubts()
     return Drive(
         run=run,
         clock=clock,

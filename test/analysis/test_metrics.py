@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 from adp_path_follower.analysis import events
 from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
 from adp_path_follower.analysis.metrics import approach
+from adp_path_follower.analysis.motion import motion_of
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.drive import project
 from adp_path_follower.core.path.library import lissajous
@@ -355,6 +357,28 @@ def test_evo_reads_the_trajectory(tmp_path):
     assert trajectory.num_poses == 3001
     assert trajectory.path_length == pytest.approx(found.metrics["distance"], rel=1e-3)
     assert trajectory.path_length == pytest.approx(30.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("apart", "noise", "gain", "told"),
+    [
+        (0.0, 0.0, 1.0, []),
+        (0.02, 0.0, 1.0, [7.8, 6.5]),
+        (0.0, 0.005, 1.05, []),
+        (0, 0, 0.7, [6.5, 4.55]),
+    ],
+)
+def test_distances_that_the_velocity_contradicts_are_doubted(apart, noise, gain, told):
+    """Two publishers of odometry, one ahead of the other, lengthen the track to and fro."""
+    time = np.arange(391) / 30.0
+    random = np.random.default_rng(0)
+    poses = np.zeros((len(time), 3))
+    poses[:, 0] = 0.5 * time + apart * (np.arange(len(time)) % 2)
+    poses[:, :2] += noise * random.standard_normal((len(time), 2))
+    speed = np.full(len(time), 0.5 * gain)
+    motion = motion_of(time, poses, speed, np.zeros(len(time), bool))
+    numbers = [float(text) for text in re.findall(r"([0-9.]+) m", " ".join(motion.doubts()))]
+    assert numbers == pytest.approx(told, rel=0.01)
 
 
 def test_the_figure_eight_is_not_left_at_its_crossing():
