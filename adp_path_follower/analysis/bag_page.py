@@ -14,7 +14,7 @@ from adp_path_follower.analysis.run_charts import LEARNED
 from adp_path_follower.criteria import OFF_PATH, SETTLED
 from adp_path_follower.drawing.charts import Charts
 from adp_path_follower.drawing.figure_style import color
-from adp_path_follower.drawing.page import write_page
+from adp_path_follower.drawing.page import Card, write_page
 from adp_path_follower.drawing.page_figures import page_data
 
 CAPTIONS = {
@@ -86,7 +86,7 @@ class Headline:
     name: str
     good: bool
     verdict: str
-    cards: tuple[tuple[str, str, str], ...]
+    cards: tuple[Card, ...]
 
 
 def write_report(
@@ -218,13 +218,13 @@ def _headline(analysis: BagAnalysis) -> Headline:
     return Headline(analysis.name, farthest <= OFF_PATH and not faults, verdict, cards)
 
 
-def _cost_card(ratio: float, cost: float) -> tuple[str, str, str]:
+def _cost_card(ratio: float, cost: float) -> Card:
     if math.isfinite(ratio):
         return "J / J*", number(ratio, 5), "cost beside the least possible; 1 is the best"
     return "cost J", number(cost, 5), "no optimum to compare it with"
 
 
-def _learned_card(analysis: BagAnalysis) -> tuple[str, str, str]:
+def _learned_card(analysis: BagAnalysis) -> Card:
     """Return how far the Bellman error has come down while driving."""
     panels = analysis.charts.panels.get("bellman_error")
     if not panels:

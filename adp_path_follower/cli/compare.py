@@ -15,7 +15,7 @@ from adp_path_follower.core.path.library import PATH_HELP, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.robot import ROBOT_MODELS
-from adp_path_follower.drawing.page import Table, write_runs_page
+from adp_path_follower.drawing.page import Card, Table, write_runs_page
 from adp_path_follower.extras import is_installed
 from adp_path_follower.study.comparison.compare import Comparison, Outcome
 from adp_path_follower.study.comparison.compare import compare as run_comparison
@@ -226,7 +226,22 @@ def _write_race(found: Comparison, settings: Settings, file: FilePath) -> None:
     runs = [item.lap for item in ranked]
     title = f"Race of {len(runs)} controllers on {found.path_name}"
     table = Table(("controller", *_COLUMNS), tuple(rows))
-    write_runs_page(file, title, about, "adp compare", settings, runs, table)
+    write_runs_page(file, title, about, "adp compare", settings, _cards(ranked[0]), runs, table)
+
+
+def _cards(best: Outcome) -> tuple[Card, ...]:
+    """Return what the page of the race shows first: the best controller's numbers."""
+    median, _, largest, _, settled, _, distance, farthest, step = (
+        _number(value, 0, digits)
+        for value, (*_, digits) in zip(_columns(best), _COLUMNS.values(), strict=True)
+    )
+    return (
+        ("ahead", best.name, "the least median of J / J*"),
+        ("J / J*", median, f"its median; {largest} at most, and 1 is the best"),
+        ("distance from the path", f"{distance} mm", f"root mean square; at most {farthest} mm"),
+        ("settled after", f"{settled} s", "median"),
+        ("time of a step", f"{step} ms", "median of one robot's steps"),
+    )
 
 
 def _numbers(found: Comparison) -> dict[str, Any]:

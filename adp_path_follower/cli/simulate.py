@@ -18,7 +18,7 @@ from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.criteria import SETTLED
-from adp_path_follower.drawing.page import Table, write_runs_page
+from adp_path_follower.drawing.page import Card, Table, write_runs_page
 from adp_path_follower.extras import require
 from adp_path_follower.study.simulation.route import is_plain, simulate_route
 from adp_path_follower.study.simulation.shown import shown_run
@@ -162,8 +162,28 @@ def _write_page(
     )
     about = "The virtual target begins at the same place for every run; θ is in radians."
     title = f"Simulated runs on {path_name}"
-    write_runs_page(file, title, about, "adp simulate", settings, runs, Table(columns, rows))
+    table = Table(columns, rows)
+    write_runs_page(file, title, about, "adp simulate", settings, _cards(result), runs, table)
     click.echo(file.resolve().as_uri())
+
+
+def _cards(result: SimulationResult) -> tuple[Card, ...]:
+    """Return what the page of the runs shows first."""
+    count, failed = len(result.starts), int(result.failed.sum())
+    settled = result.settling_time[np.isfinite(result.settling_time)]
+    of_all = "of the run" if count == 1 else f"median of {count} runs"
+    slowest = f"{settled.max():.2f} s" if len(settled) else "–"
+    ends = np.linalg.norm(result.final_error[~result.failed], axis=1)
+    return (
+        ("cost J", f"{np.median(result.cost):.6g}", f"∫ eᵀQe + uᵀRu, {of_all}"),
+        (
+            "settled after",
+            slowest,
+            f"the slowest of {len(settled)}; |e| below {SETTLED:g} from then",
+        ),
+        ("error at the end", f"{ends.max():.2g}" if len(ends) else "–", "|e|, the largest"),
+        ("left the path", f"{failed} of {count}", "runs that went too far away from it"),
+    )
 
 
 def _simulate_route(

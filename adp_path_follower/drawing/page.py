@@ -27,6 +27,9 @@ class Table:
     rows: tuple[tuple[tuple[str, float], ...], ...]  # text and number of each cell but the first
 
 
+Card = tuple[str, str, str]  # label, number and detail of what is seen first
+
+
 def write_page(file: FilePath, name: str, data: dict[str, Any], **content: Any) -> None:
     """Write a page: NAME.html.j2 shows `content`, and page.js the figures in `data`.
 
@@ -70,6 +73,7 @@ def write_runs_page(
     about: str,
     maker: str,
     settings: Settings,
+    cards: Sequence[Card],
     runs: Sequence[ShownRun],
     table: Table,
 ) -> None:
@@ -95,6 +99,7 @@ def write_runs_page(
         title=title,
         about=f"{about} {_named(settings)}",
         maker=maker,
+        headline=cards,
         names=[(run.name, color(index)) for index, run in enumerate(runs)],
         captions=captions,
         table=table,

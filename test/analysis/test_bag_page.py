@@ -302,10 +302,14 @@ def test_simulated_runs_start_together_and_their_table_sorts(browser, tmp_path):
     )
     file = tmp_path / "runs.html"
     table = Table(("start", "J"), rows)
-    write_runs_page(file, "Two runs", "About.", "adp", settings, runs, table)
+    cards = (("cost J", "1.5", "the least"),)
+    write_runs_page(file, "Two runs", "About.", "adp", settings, cards, runs, table)
     visit = open_page(browser, file, "narrow")
     named = 'Settings: the defaults but learning false, wide_region "none".'
-    assert visit.page.inner_text(".about") == f"About. {named}"
+    about = visit.page.inner_text(".about")
+    assert about.startswith("adp_path_follower drives ")
+    assert about.endswith(f"About. {named}")
+    assert visit.page.locator(".cards li").all_inner_texts() == ["cost J\n1.5\nthe least"]
     assert (visit.said, visit.asked) == ([], [file.as_uri()])
     spent = visit.page.evaluate(
         "document.getElementById('figure-cost')._fullData.map((trace) => trace.y.at(-1))"
