@@ -47,7 +47,7 @@ LINE = poses_message(named_path("line").points(0.1), "odom", 0)
 class Spied(PathFollowerNode):
     """The controller node, whose callbacks the test calls and whose commands are looked at."""
 
-    answered = told = None
+    told = None
 
     def begin(self, **parameters):
         """Forget what was, and begin a run with these parameters."""
@@ -118,10 +118,8 @@ class Spied(PathFollowerNode):
     def _take_path(self):
         """Take what the other thread has made of a path."""
         intake = self._parts.path._intake
-        while intake._request not in (None, self.answered):
-            self.answered = intake._request
-            while intake._answer is None:
-                time.sleep(0.0005)
+        while intake._latest is not None:
+            intake._latest.exception()  # waits
             self._parts.path._take()
 
     @property
