@@ -50,7 +50,7 @@ setup(
     install_requires=[
         "numpy>=1.26",
         "scipy>=1.11",
-        "rosbags>=0.10,<0.12",
+        "rosbags>=0.11.6,<0.12",
         "mcap>=1.5,<2",
         "PyYAML>=6.0",
         "click>=8.1",

@@ -39,9 +39,11 @@ def _read_string(bio: BinaryIO) -> str:
     return storage_mcap.read_bytes(bio).decode(errors="replace")
 
 
-# rosbags refuses a file for one topic in another encoding, of which nothing need be read.
-storage_mcap.get_msgdef = functools.partial(_definition_of, known=storage_mcap.get_msgdef)
-storage_mcap.read_string = _read_string
+# rosbags refuses a file for one topic in another encoding, of which nothing need be read; so it
+# does again if a later release has these functions no more.
+if hasattr(storage_mcap, "get_msgdef"):
+    storage_mcap.get_msgdef = functools.partial(_definition_of, known=storage_mcap.get_msgdef)
+    storage_mcap.read_string = _read_string
 
 
 def kind_of(connection: Connection) -> str:
