@@ -81,7 +81,8 @@ def demo(
         duration = path.length / settings.target.desired_speed
         duration += 0.0 if path.closed else _TO_ARRIVE
     bag = _run(settings, simulator, path, path_name, duration, directory)
-    page = _report(bag, directory, duration, time.monotonic() - started)
+    name = f"demo on {FilePath(path_name).name}"
+    page = _report(bag, name, directory, duration, time.monotonic() - started)
     if page is not None:
         click.echo(page.resolve().as_uri())
         if open_page:
@@ -135,7 +136,7 @@ def _run(
 
 
 def _report(
-    bag: FilePath, directory: FilePath, duration: float, wall_time: float
+    bag: FilePath, name: str, directory: FilePath, duration: float, wall_time: float
 ) -> FilePath | None:
     """Analyse the bag as `adp analyze` does, print the numbers, and return the page if written."""
     from adp_path_follower.analysis.bag_analysis import metrics_table
@@ -149,7 +150,7 @@ def _report(
     page = directory / "report.html"
     # Two processors share the work: the replay and the analysis do not need each other.
     with ProcessPoolExecutor(1, get_context("spawn")) as other:
-        analysing = other.submit(_analyse, bag, page)
+        analysing = other.submit(_analyse, bag, name, page)
         run = read_run(bag)
         replayed = replay(run)
         first, follower = replayed.outputs[0], replayed.follower
@@ -182,11 +183,11 @@ def _report(
     return page if page.exists() else None
 
 
-def _analyse(bag: FilePath, page: FilePath) -> BagAnalysis:
+def _analyse(bag: FilePath, name: str, page: FilePath) -> BagAnalysis:
     """Analyse a bag, in a process of its own, and write its page if the libraries are there."""
     from adp_path_follower.analysis.bag_analysis import analyse_bag
 
-    analysis = analyse_bag(bag, {}, 1, page.with_name("trajectory.tum"), title="demo")
+    analysis = analyse_bag(bag, {}, 1, page.with_name("trajectory.tum"), title=name)
     try:
         require("report.html", "report")
     except AdpError as missing:

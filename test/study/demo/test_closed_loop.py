@@ -245,7 +245,7 @@ def test_the_command_replays_whatever_threads_the_user_allows(tmp_path):
     for name in ("2_path", "3_states", "4_controls", "5_weights"):
         assert (directory / "figures" / f"figure_{name}.png").stat().st_size > 10_000
     page = (directory / "report.html").read_text(encoding="utf-8")
-    assert "<title>Run report: demo</title>" in page
+    assert "<title>Run report: demo on lissajous</title>" in page
     printed = (tmp_path / "printed").read_text(encoding="utf-8")
     assert "\nPathFollower repeats 301 of 301 commands exactly" in printed
     analysis = analyse_bag(directory / "bag", {}, 1, tmp_path / "trajectory.tum")
