@@ -211,6 +211,8 @@ class WideRegion:
         """Take levels, limits and kind from the settings; lead over from the policy before."""
         self._settings, self._riccati = settings, riccati
         self._before, self._since = before, 0.0  # [s] from that one on
+        if before is not None:
+            before._before = None  # only one policy is left at a time
         self._kind = settings.policy.wide_region
         # Errors, in half-widths of the samples, between which the policy changes.
         self._levels = settings.policy.wide_region_levels
@@ -261,22 +263,18 @@ class WideRegion:
         the rest is as in `modified_input`, dt [s] after the last step.
         """
         place = (arc_length, zeta, curvature, feedforward)
-        here = self._blend(learned, *place)
+        here = self._alone(learned, *place)
         self._since += dt
-        if self._before is None or self._since >= _CHANGE_TIME:
+        if self._since >= _CHANGE_TIME:
+            self._before = None
+        if self._before is None:
             return here
-        before = self._before._blend(learned, *place)
+        before = self._before._alone(learned, *place)
         return before + self._since / _CHANGE_TIME * (here - before)
 
-    def _blend(
-        self,
-        learned: FloatArray,
-        arc_length: FloatArray,
-        zeta: FloatArray,
-        curvature: FloatArray,
-        feedforward: FloatArray,
-    ) -> FloatArray:
-        """Return the input of this policy alone."""
+    def _alone(self, learned: FloatArray, *place: FloatArray) -> FloatArray:
+        """Return the input as `blend`, without the policy before."""
+        arc_length, zeta, curvature, feedforward = place
         share = self.share(zeta)[..., None]
         if not (share > 0.0).any():
             return learned

@@ -1,10 +1,12 @@
 """The problem changes while the robot drives: the policy of the new one is learned in seconds."""
 
+import gc
 import math
 
 import numpy as np
 import pytest
 
+from adp_path_follower.core.control.far_from_path import WideRegion
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
 from adp_path_follower.core.path.library import circle, lissajous, named_path
@@ -126,3 +128,21 @@ def test_the_place_and_the_cost_go_on_over_a_change():
     assert first.arc_length - place == pytest.approx(speed * PERIOD, rel=0.05)
     assert second.arc_length > first.arc_length
     assert float(robot.follower.cost) > cost
+
+
+def test_far_policies_that_were_left_are_forgotten():
+    """Each would keep its own forerunner, and a node that is tuned for an hour all of them."""
+
+    def alive():
+        gc.collect()
+        return sum(isinstance(item, WideRegion) for item in gc.get_objects())
+
+    others = alive()
+    follower = PathFollower(build(Settings, {"wide_region": "approach"}), EIGHT)
+    robot = Robot(follower, [0.0, 0.3, 0.2])
+    for kind in ("none", "riccati", "approach", "none"):
+        follower.settings = update(follower.settings, {"wide_region": kind})
+        robot.drive(0.1)
+        assert alive() - others == 2
+    robot.drive(1.0)
+    assert alive() - others == 1
