@@ -26,6 +26,7 @@ from adp_path_follower.messages.raw import read_path
 _FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")
 _CONVERT = "convert one of ROS 1 with `rosbags-convert --src BAG --dst DIRECTORY`"
 _OTHER_ENCODING = re.compile(r"serialization_format: *(?![\"']?cdr\b)\S+")
+_METADATA = "metadata.yaml"
 _REPORTED = 20_000  # messages between two reports of progress
 _NEEDED = ("odom", "path")  # without which there is nothing to analyse or replay
 
@@ -44,8 +45,10 @@ def opened_bag(bag: FilePath) -> Iterator[tuple[Reader, list[str]]]:
                     "the recording of this sqlite3 bag was not ended: messages of its -wal file "
                     "were read, too"
                 )
-            copy = stack.enter_context(tempfile.TemporaryDirectory(prefix="adp_bag_"))
-            reader = stack.enter_context(Reader(_said_to_be_cdr(found, FilePath(copy))))
+            if _names_other_encodings(found):
+                copy = stack.enter_context(tempfile.TemporaryDirectory(prefix="adp_bag_"))
+                found = _said_to_be_cdr(found, FilePath(copy))
+            reader = stack.enter_context(Reader(found))
             _take_topics_of_files(reader)
             yield reader, notes
     except FileError:
@@ -84,7 +87,7 @@ def _bag_in(bag: FilePath) -> FilePath:
     if bag.is_file() and bag.suffix not in _FILES:
         remedy = _CONVERT if bag.suffix == ".bag" else "give a directory, or one .mcap or .db3 file"
         raise FileError(f"file {bag} is no bag of ROS 2: {remedy}")
-    if not bag.is_dir() or (bag / "metadata.yaml").exists():
+    if not bag.is_dir() or (bag / _METADATA).exists():
         return bag
     if any(set(file.suffixes) & set(_FILES) for file in bag.iterdir()):
         raise FileError(
@@ -120,15 +123,22 @@ def _merged(bag: FilePath, folder: FilePath) -> FilePath:
     return copy
 
 
+def _metadata_of(bag: FilePath) -> str:
+    return (bag / _METADATA).read_text(encoding="utf-8")
+
+
+def _names_other_encodings(bag: FilePath) -> bool:
+    """Return whether metadata.yaml names another encoding: the library refuses such bags whole."""
+    return bag.is_dir() and _OTHER_ENCODING.search(_metadata_of(bag)) is not None
+
+
 def _said_to_be_cdr(bag: FilePath, folder: FilePath) -> FilePath:
-    """Return a bag whose metadata.yaml names no other encoding: the library refuses those whole."""
-    text = (bag / "metadata.yaml").read_text() if bag.is_dir() else ""
-    if not _OTHER_ENCODING.search(text):
-        return bag
+    """Return a bag of the same files, in a folder, whose metadata.yaml names one encoding only."""
+    text = _OTHER_ENCODING.sub("serialization_format: cdr", _metadata_of(bag))
     for file in bag.iterdir():
-        (folder / file.name).symlink_to(file.resolve())
-    (folder / "metadata.yaml").unlink()
-    (folder / "metadata.yaml").write_text(_OTHER_ENCODING.sub("serialization_format: cdr", text))
+        if file.name != _METADATA:
+            (folder / file.name).symlink_to(file.resolve())
+    (folder / _METADATA).write_text(text, encoding="utf-8")
     return folder
 
 

@@ -37,7 +37,7 @@ _OTHERS = {
     "initial_weights": ("std_msgs/msg/UInt8MultiArray",),
     "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray",),
 }
-_TYPES = {**SERIES, **_OTHERS}
+TYPES = {**SERIES, **_OTHERS}
 _ASKED = ("odom", "cmd_vel", "path")  # may be named, and are found by type where there is one
 _PLAIN = (*_ASKED, "ground_truth", "diagnostics")  # not under the node's name
 
@@ -74,7 +74,7 @@ class _Bag:
 
     def named(self, key: str, name: str) -> str:
         """Return the topic that was asked for; FileError if it is missing or of another type."""
-        topic, allowed = f"/{name.removeprefix('/')}", _TYPES[key]
+        topic, allowed = f"/{name.removeprefix('/')}", TYPES[key]
         if topic not in self.counts:
             listed = ", ".join(self.of_type(allowed)) or "none"
             raise FileError(
@@ -89,7 +89,7 @@ class _Bag:
 
     def by_name(self, key: str, odom: str) -> tuple[str, list[str]]:
         """Return the topic of a key, or "", and notes; FileError if several have its name."""
-        allowed = _TYPES[key]
+        allowed = TYPES[key]
         wanted = key if key in _PLAIN else f"{self.node}/{key}"
         found = sorted(topic for topic in self.counts if f"/{topic}".endswith(f"/{wanted}"))
         fitting = [topic for topic in found if self.kind(topic, allowed)]
@@ -128,7 +128,7 @@ def chosen_topics(
     topics: dict[str, str] = {}
     kinds: dict[str, str] = {}
     notes: list[str] = []
-    for key, allowed in _TYPES.items():
+    for key, allowed in TYPES.items():
         said: list[str] = []
         if names.get(key) == "":  # not wanted
             continue

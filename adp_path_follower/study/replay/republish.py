@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
 from adp_path_follower.bags.reader import messages_of
+from adp_path_follower.bags.topics import TYPES
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.ros.runtime.conversions import stamp_nanoseconds
 
@@ -29,7 +30,6 @@ _SETTLING = 5.0  # [s] for both sides to find each other
 _PATH_PERIOD = 1.0  # [s] between repetitions of the first path
 
 _TYPES = {"odom": Odometry, "path": PathMessage}
-_KINDS = {"odom": "nav_msgs/msg/Odometry", "path": "nav_msgs/msg/Path"}
 
 
 def republish(
@@ -171,7 +171,7 @@ def recorded_messages(
 def _decoded(bag: FilePath, keys: Mapping[str, str]) -> tuple[list[tuple[int, str, Any]], int]:
     """Return arrival [ns], key and message of topics -> keys, and how many are damaged."""
     found, damaged = [], 0
-    kinds = {topic: _KINDS[key] for topic, key in keys.items()}
+    kinds = {topic: TYPES[key][0] for topic, key in keys.items()}
     for arrival, topic, raw in messages_of(bag, lambda topic, kind: kinds.get(topic) == kind):
         key = keys[topic]
         try:

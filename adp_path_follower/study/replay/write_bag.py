@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from adp_path_follower.bags.reader import messages_of
-from adp_path_follower.bags.topics import SERIES
+from adp_path_follower.bags.topics import SERIES, TYPES
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.messages.raw import stamped_numbers
@@ -24,15 +24,9 @@ _KINDS = {
     for key, kinds in SERIES.items()
     if key not in _NOT_TOLD
 }
-_KINDS[f"{_NODE}/configuration"] = "std_msgs/msg/String"
+_KINDS[f"{_NODE}/configuration"] = TYPES["configuration"][0]
 # Topics of the recorded run that stay as they are.
-_COPIED = {
-    "odom": "nav_msgs/msg/Odometry",
-    "path": "nav_msgs/msg/Path",
-    "goal_path": "nav_msgs/msg/Path",
-    "ground_truth": "nav_msgs/msg/Odometry",
-    "initial_weights": "std_msgs/msg/UInt8MultiArray",
-}
+_COPIED = ("odom", "path", "goal_path", "ground_truth", "initial_weights")
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 # Arrival [ns], topic, serialised message.
@@ -53,12 +47,11 @@ def write_replay(
     FileError if `bag` exists or cannot be made.
     """
     gone = ("odom", "ground_truth") if velocity is not None else ()
-    kinds = {
-        topics[key]: kind for key, kind in _COPIED.items() if key in topics and key not in gone
-    }
+    kinds = {topics[key]: TYPES[key][0] for key in _COPIED if key in topics and key not in gone}
     numbers: dict[str, int] = {}
 
     def wanted(topic: str, kind: str) -> bool:
+        """Return whether a topic is copied; it is added before its first message is read."""
         known = kinds.get(topic) == kind or (kind == _TRANSFORMS and velocity is None)
         if known and topic not in numbers:
             numbers[topic] = writer.add_topic(topic, kind)
