@@ -231,16 +231,19 @@ def _write_race(found: Comparison, settings: Settings, file: FilePath) -> None:
 
 def _cards(best: Outcome) -> tuple[Card, ...]:
     """Return what the page of the race shows first: the best controller's numbers."""
-    median, _, largest, _, settled, _, distance, farthest, step = (
-        _number(value, 0, digits)
-        for value, (*_, digits) in zip(_columns(best), _COLUMNS.values(), strict=True)
-    )
+    columns = zip(_COLUMNS, _columns(best), _COLUMNS.values(), strict=True)
+    shown = {name: _number(value, 0, digits) for name, value, (*_, digits) in columns}
+    ranked_by = "J" if np.isnan(best.quantile(0.5)) else "J / J*"
     return (
-        ("ahead", best.name, "the least median of J / J*"),
-        ("J / J*", median, f"its median; {largest} at most, and 1 is the best"),
-        ("distance from the path", f"{distance} mm", f"root mean square; at most {farthest} mm"),
-        ("settled after", f"{settled} s", "median"),
-        ("time of a step", f"{step} ms", "median of one robot's steps"),
+        ("ahead", best.name, f"the least median of {ranked_by}"),
+        ("J / J*", shown["J/J*, median"], f"its median; {shown['max']} at most, and 1 is the best"),
+        (
+            "distance from the path [mm]",
+            shown["cross-track RMS [mm]"],
+            f"root mean square; at most {shown['max [mm]']}",
+        ),
+        ("settled after [s]", shown["settled in [s]"], "median"),
+        ("time of a step [ms]", shown["per step [ms]"], "median of one robot's steps"),
     )
 
 

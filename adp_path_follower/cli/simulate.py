@@ -21,7 +21,6 @@ from adp_path_follower.criteria import SETTLED
 from adp_path_follower.drawing.page import Card, Table, write_runs_page
 from adp_path_follower.extras import require
 from adp_path_follower.study.simulation.route import is_plain, simulate_route
-from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import (
     LEARNING_MODES,
     ControllerFactory,
@@ -147,6 +146,8 @@ def _write_page(
     result: SimulationResult, path: Path, settings: Settings, path_name: str, file: FilePath
 ) -> None:
     """Write the page of the first runs, and say where it is."""
+    from adp_path_follower.study.simulation.shown import shown_run  # a third of the start-up
+
     count, trajectories = min(len(result.starts), _RUNS_DRAWN), result.trajectories
     assert trajectories is not None  # recorded for it
     names = [f"from ({s:.3g}, {y:.3g}, {theta:.3g})" for s, y, theta in result.starts[:count]]
@@ -170,12 +171,12 @@ def _write_page(
 def _cards(result: SimulationResult) -> tuple[Card, ...]:
     """Return what the page of the runs shows first."""
     count, failed = len(result.starts), int(result.failed.sum())
-    settled = result.settling_time[np.isfinite(result.settling_time)]
-    of_all = "of the run" if count == 1 else f"median of {count} runs"
+    sound, settled = ~result.failed, result.settling_time[np.isfinite(result.settling_time)]
+    costs, ends = result.cost[sound], np.linalg.norm(result.final_error[sound], axis=1)
+    median = f"{np.median(costs):.6g}" if len(costs) else "–"
     slowest = f"{settled.max():.2f} s" if len(settled) else "–"
-    ends = np.linalg.norm(result.final_error[~result.failed], axis=1)
     return (
-        ("cost J", f"{np.median(result.cost):.6g}", f"∫ eᵀQe + uᵀRu, {of_all}"),
+        ("cost J", median, f"∫ eᵀQe + uᵀRu, median of {len(costs)} of {count} runs"),
         (
             "settled after",
             slowest,
