@@ -37,6 +37,11 @@ def inner(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray((first * second).sum(-1))
 
 
+def last_axis_sum(array: FloatArray) -> FloatArray:
+    """Return the sums over a short last axis, for which numpy takes a hundred times as long."""
+    return np.asarray(sum(array[..., axis] for axis in range(array.shape[-1])))
+
+
 def contiguous(array: FloatArray) -> FloatArray:
     """Return a copy whose numbers lie side by side in memory; a single number as it is.
 

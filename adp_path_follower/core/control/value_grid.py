@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adp_path_follower.core.geometry import FloatArray, components
+from adp_path_follower.core.geometry import FloatArray, components, last_axis_sum
 
 _TAPS = np.arange(4)
 # Cubic B-spline: the rows are the powers 1, t, t^2, t^3 of the place between two nodes, the columns
@@ -212,8 +212,3 @@ def _half_angle(error: FloatArray, matrix: FloatArray) -> tuple[FloatArray, ...]
     cos, sin = np.cos(0.5 * theta), np.sin(0.5 * theta)
     q = components(s * cos + y * sin, y * cos - s * sin, theta)
     return cos, sin, q, np.matmul(matrix, q[..., None])[..., 0]
-
-
-def last_axis_sum(array: FloatArray) -> FloatArray:
-    """Return the sums over a short last axis, for which numpy takes a hundred times as long."""
-    return np.asarray(sum(array[..., axis] for axis in range(array.shape[-1])))

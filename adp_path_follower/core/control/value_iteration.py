@@ -24,10 +24,9 @@ from adp_path_follower.core.control.value_grid import (
     ValueGrid,
     half_angle_form,
     half_angle_value,
-    last_axis_sum,
 )
 from adp_path_follower.core.control.virtual_target import MOST_LEAD
-from adp_path_follower.core.geometry import FloatArray, wrap_angle
+from adp_path_follower.core.geometry import FloatArray, last_axis_sum, wrap_angle
 from adp_path_follower.core.settings.groups import (
     FAST,
     CostSettings,
