@@ -59,7 +59,7 @@ class Motion:
             return []
         return [
             f"the odometry's poses tell of {found:.4g} m, its velocities of {said:.4g} m: "
-            "one of them is wrong, or several nodes publish it"
+            "one of them is wrong, several nodes publish it, or the robot moves sideways"
         ]
 
 
