@@ -8,7 +8,7 @@ a fault of the robot or of its messages, new parameters (some of them rejected),
 empty one, a stop, a reset of the learning, a listener that comes and goes. It fails if the
 controller ends, prints a traceback or an unexpected error, sends a command that is not finite or
 beyond the limits, or does not follow any more at the end; it reports how its memory grows after the
-first ten minutes. DIR gets hour.json and hour.png.
+first five minutes. DIR gets hour.json and hour.png.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ from adp_path_follower.ros.runtime.conversions import poses_message
 from adp_path_follower.study.demo.closed_loop import NodeProcess, own_domain
 from live_nodes import Peer, is_zero  # after the path
 
-WARM_UP = 10.0  # [min] after which memory must not grow any more
-_WINDOW = 600.0  # [s] of simulated time whose median counts: memory comes and goes by 3 MB
+WARM_UP = 5.0  # [min] after which memory must not grow any more
+_WINDOW = 60.0  # [s] of simulated time over which memory is averaged at either end
 _FASTEST, _SHARPEST = 1.0, 1.5  # the largest limits that are ever set
 _ROBOT = {
     "position_noise": 0.005,
