@@ -126,6 +126,8 @@ def steps_of(run: Run) -> Steps:
         told, where = np.unique(run.series["measured_motion"].stamp, return_index=True)
         _, step, telling = np.intersect1d(stamps, told, return_indices=True)
         motion[step] = run.series["measured_motion"].values[where[telling]]
+        if len(step) and step[-1] == len(pose) - 2:  # the recording ended within the last step
+            stamps, first, pose, motion = stamps[:-1], first[:-1], pose[:-1], motion[:-1]
     elif series is run.series.get("odom"):
         motion = np.column_stack([series.values[first][:, 3:5], np.zeros(len(pose))])
     return Steps(stamps, pose, series.arrival[first], motion)

@@ -94,6 +94,16 @@ def learned(bag, tmp_path_factory):
     return read_run(folder)
 
 
+def test_a_step_within_which_the_recording_ended_is_left_out(learned):
+    motion = learned.series["measured_motion"]
+    cut = dataclasses.replace(
+        motion, stamp=motion.stamp[:-1], arrival=motion.arrival[:-1], values=motion.values[:-1]
+    )
+    found = replay(dataclasses.replace(learned, series={**learned.series, "measured_motion": cut}))
+    assert len(found.steps.stamp) == len(motion.stamp) - 1
+    assert found.identical[found.answered].all()
+
+
 def with_critic(run, rows, values):
     """Return a run in which only some sets of critic weights were recorded, with these values."""
     series = run.series["critic_weights"]
