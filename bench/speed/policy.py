@@ -171,7 +171,9 @@ def policy_of(drive: Drive) -> Callable[[], object]:
     for _ in range(300):
         drive.tick()
     follower = drive.follower
-    target = VirtualTarget(follower.path, drive.settings.target, follower.arc_length)
+    target = VirtualTarget(
+        follower.path, drive.settings.target, follower.arc_length, follower.reference
+    )
     error = np.array([0.05, -0.03, 0.1])
     target.move(pose_in_frame(error, follower.path.frame(follower.arc_length).pose), 0.0)
 

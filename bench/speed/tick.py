@@ -74,7 +74,7 @@ def parts() -> dict[str, Callable[[], object]]:
         drive.tick()
     paper, default = (drive.follower for drive in drives)
     output, weights, settings = paper.step(_POSE, 0.01), paper.weights, paper.settings
-    model = SampledModel(settings, paper.path)
+    model = SampledModel(settings, paper.path, paper.profile)
     knots, ahead = KnotModel(default.settings, 0.2), default.weights.critic
     step = default.settings.learning.samples_per_step
     equations = knots.equations(slice(None), ahead, 0.1, 0.5)

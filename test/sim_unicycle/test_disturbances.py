@@ -221,10 +221,10 @@ class Recorded:
     measured: dict[float, np.ndarray]
 
     def __init__(self, settings, path, arc_length):
-        from adp_path_follower.core.control.virtual_target import VirtualTarget
+        from steady import steady_target
 
         self.settings, self.path, self.measured, self.time = settings, path, {}, 0.0
-        self.target = VirtualTarget(path, settings.target, arc_length)
+        self.target = steady_target(path, settings.target, arc_length)
 
     def step(self, pose, dt):
         """Return a zero command."""

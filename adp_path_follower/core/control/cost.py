@@ -5,7 +5,7 @@ import numpy as np
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray, advance_pose, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
-from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedReference
+from adp_path_follower.core.path.speed_profile import SpeedReference
 from adp_path_follower.core.settings.groups import CostSettings, Settings
 
 
@@ -30,13 +30,11 @@ class RunningCost:
 class MotionCost:
     """The cost of moving at constant twist, with the virtual target moving on beside the robot."""
 
-    def __init__(
-        self, settings: Settings, path: Path, reference: SpeedReference | None = None
-    ) -> None:
-        """Take cost, target and path; the speed along it is by default `desired_speed`."""
+    def __init__(self, settings: Settings, path: Path, reference: SpeedReference) -> None:
+        """Take cost, target and path, and the speed along it."""
         self._target, self._path = settings.target, path
         self._running_cost = RunningCost(settings.cost)
-        self._reference = reference or ConstantSpeed(settings.target)
+        self._reference = reference
 
     def __call__(
         self,

@@ -14,7 +14,7 @@ from scipy.linalg import solve_continuous_are
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import ConstantSpeed, Speeds
+from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import CostSettings, TargetSettings
 
 INPUT_MATRIX = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])  # B
@@ -126,11 +126,11 @@ class RiccatiSchedule:
         path: Path,
         target: TargetSettings,
         cost: CostSettings,
-        profile: Speeds | None = None,
+        profile: SpeedProfile,
     ) -> None:
-        """Solve the equation over the path's curvatures and a profile's speeds, or one speed."""
+        """Solve the equation over the path's curvatures and a profile's speeds."""
         self.path = path
-        self.profile = profile = profile or ConstantSpeed(target)
+        self.profile = profile
         low, high = path.curvature_range
         low = max(min(low, 0.0), -_MOST_CURVATURE)  # the tangents beyond the ends are straight
         high = min(max(high, 0.0), _MOST_CURVATURE)

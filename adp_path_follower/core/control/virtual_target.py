@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.geometry import FloatArray, clamped, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
-from adp_path_follower.core.path.speed_profile import ConstantSpeed, SpeedReference
+from adp_path_follower.core.path.speed_profile import SpeedReference
 from adp_path_follower.core.settings.groups import TargetSettings
 
 MOST_LEAD = 40.0  # [m] of the robot ahead of the target, or behind it, that sets its speed
@@ -24,12 +24,12 @@ class VirtualTarget:
         self,
         path: Path,
         target: TargetSettings,
-        arc_length: ArrayLike = 0.0,
-        reference: SpeedReference | None = None,
+        arc_length: ArrayLike,
+        reference: SpeedReference,
     ) -> None:
-        """Start at arc lengths [m] of the path, with `desired_speed` if there is no reference."""
+        """Start at arc lengths [m] of the path, where the reference says the speed along it."""
         self.arc_length = np.asarray(arc_length, dtype=float)[()]  # one robot: a number [m]
-        self._reference = reference or ConstantSpeed(target)
+        self._reference = reference
         self.v_des = self._reference.speed(self.arc_length)  # [m/s], (...), or one number
         self._path, self._target = path, target
         self._most_speed = target.desired_speed + target.target_gain * MOST_LEAD
@@ -41,9 +41,7 @@ class VirtualTarget:
         """Let no time pass in the next `move`."""
         self._previous_error = None
 
-    def copy(
-        self, target: TargetSettings, reference: SpeedReference | None = None
-    ) -> VirtualTarget:
+    def copy(self, target: TargetSettings, reference: SpeedReference) -> VirtualTarget:
         """Return a target at the same place that moves by other settings."""
         other = VirtualTarget(self._path, target, self.arc_length, reference)
         other._previous_error = self._previous_error

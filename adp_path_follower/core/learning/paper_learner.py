@@ -17,7 +17,7 @@ from adp_path_follower.core.learning.samples import sample_grid
 from adp_path_follower.core.learning.update_laws import follow, least_squares, update_weights
 from adp_path_follower.core.learning.weights import LearnedWeights, Weights, initial_weights
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.path.speed_profile import ConstantSpeed, Speeds
+from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 
 _REST_STEP = 0.1  # [s] of learning at rest
@@ -28,14 +28,14 @@ _SETTLED_CHANGE = 1e-9
 class SampledModel:
     """The model of the error dynamics at a grid of sampled states, for Bellman extrapolation."""
 
-    def __init__(self, settings: Settings, path: Path, profile: Speeds | None = None) -> None:
+    def __init__(self, settings: Settings, path: Path, profile: SpeedProfile) -> None:
         basis = settings.learning.value_basis
         self.states = sample_grid(
             settings.learning.sample_half_widths, settings.learning.samples_per_axis
         )
         arc_length = error_dynamics.arc_length_of(self.states[:, 3], settings.target)
         curvature = path.curvature(arc_length)
-        v_des = (profile or ConstantSpeed(settings.target)).model_speed(arc_length)
+        v_des = profile.model_speed(arc_length)
         gradient = basis.gradient(self.states)
         drift = error_dynamics.drift(self.states, curvature, settings.target, v_des)
         self._limits = settings.limits

@@ -20,7 +20,7 @@ import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.path.curve import Path
-from adp_path_follower.core.settings.groups import Settings, TargetSettings
+from adp_path_follower.core.settings.groups import Settings
 
 SHARE = 0.8  # eta: of accelerations and angular velocity; the rest is for corrections
 _SLOWEST = 0.05  # [m/s], and ...
@@ -32,28 +32,6 @@ _LEAST, _MOST = 0.7, 1.3  # by such a share of v_des
 _GRIP = 2.0  # [m/s^2] that motors and floors give to most robots
 _FOR_TURNS = 0.3  # share of a ramp that turns have for themselves, where time can be made good
 _TURNING = 0.05  # [m] over which the change of curvature is taken
-
-
-class ConstantSpeed:
-    """`desired_speed` [m/s] at every arc length: the speed of an optimum, and of peers."""
-
-    varies = stops = False
-
-    def __init__(self, target: TargetSettings) -> None:
-        self.highest = self.slowest = target.desired_speed
-
-    def speed(self, arc_length: FloatArray) -> Number:
-        """Return v_des [m/s], one number for all arc lengths."""
-        return self.highest
-
-    model_speed = speed
-
-    def spend(self, arc_length: FloatArray, time: float) -> None:
-        """Note how a time [s] is spent: it is never late."""
-
-    def same_as(self, other: Speeds) -> bool:
-        """Return whether the speeds are the same everywhere."""
-        return isinstance(other, ConstantSpeed) and other.highest == self.highest
 
 
 class SpeedProfile:
@@ -109,10 +87,8 @@ class SpeedProfile:
         speed = np.sqrt(np.maximum(self._squared, self.slowest**2))
         return np.append(0.0, np.cumsum(2.0 * self._step / (speed[1:] + speed[:-1])))
 
-    def same_as(self, other: Speeds) -> bool:
+    def same_as(self, other: SpeedProfile) -> bool:
         """Return whether the speeds are the same everywhere."""
-        if not isinstance(other, SpeedProfile):
-            return False
         mine, theirs = (self._step, self._desired), (other._step, other._desired)
         return mine == theirs and np.array_equal(self._squared, other._squared)
 
@@ -175,9 +151,6 @@ class SpeedProfile:
             slope = np.maximum(change / (2.0 * reach * self._step), 1e-12)
             squared = np.minimum(squared, 0.5 * SHARE * motion.max_angular_accel / slope)
         return np.asarray(squared)
-
-
-Speeds = SpeedProfile | ConstantSpeed
 
 
 class RampedSpeed:

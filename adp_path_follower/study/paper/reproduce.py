@@ -20,6 +20,7 @@ from adp_path_follower.core.learning.bellman import excitation
 from adp_path_follower.core.learning.paper_learner import SampledModel
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous
+from adp_path_follower.core.path.speed_profile import SpeedProfile
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import update
@@ -178,7 +179,7 @@ def _theorem(run: PaperRun, path: Path, progress: Callable[[float], None]) -> Th
     critic = found.critic_weights[0]
     actor = found.actor_weights[0]
     apart = ((ideal - critic[steps]) ** 2).sum(axis=1) + ((ideal - actor[steps]) ** 2).sum(axis=1)
-    model = SampledModel(settings, path)
+    model = SampledModel(settings, path, SpeedProfile(path, settings))
     every = slice(None, None, 10)
     measured = learning.critic_gain_measured * float(residual_norm.max()) * drift_bound
     ratio = len(model) / (2.0 * learning.critic_gain_sampled)

@@ -21,6 +21,7 @@ from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.path.curve import Path, PathFrame
+from adp_path_follower.core.path.speed_profile import SpeedProfile, SpeedReference
 from adp_path_follower.core.robot.robot import Robot
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import update
@@ -183,7 +184,13 @@ def simulate(
         if learning == "warm" and isinstance(follower, PathFollower):
             ahead = duration * settings.target.desired_speed + _WARM_MARGIN
             follower.learn_at_rest(robot.pose, ahead)
-        chosen = _Modelled(model_settings, follower, places) if modelled else follower
+        # A controller of a user's own may know no other speed than that along the path.
+        reference = getattr(follower, "reference", None)
+        reference = reference or SpeedReference(SpeedProfile(path, settings), settings)
+        chosen: Controller | _Modelled = follower
+        if modelled:
+            target = VirtualTarget(path, settings.target, places, reference)
+            chosen = _Modelled(model_settings, follower, target)
 
         def note(step: int, output: ControlOutput, pose: FloatArray) -> None:
             if (recorder or observe) and pose.ndim == 1:
@@ -197,7 +204,8 @@ def simulate(
             if progress is not None:
                 progress((first + fraction * count) / len(errors))
 
-        loop = _ClosedLoop(settings, path, block, chosen, robot, faults)
+        cost = MotionCost(settings, path, reference)
+        loop = _ClosedLoop(settings, cost, block, chosen, robot, faults)
         found = loop.run(steps, period, note, report)
         return found if block.ndim == 2 else batch_of_one(found)
 
@@ -246,12 +254,9 @@ class _Modelled:
     output are those of the present pose.
     """
 
-    def __init__(self, settings: Settings, controller: Controller, arc_length: FloatArray) -> None:
-        """Take the settings of the robot's model, and where the target starts [m], () or (1,)."""
-        self.settings, self.path = settings, controller.path
-        self._controller, self._robot = controller, Robot(settings)
-        self.reference = getattr(controller, "reference", None)
-        self._target = VirtualTarget(self.path, settings.target, arc_length, self.reference)
+    def __init__(self, settings: Settings, controller: Controller, target: VirtualTarget) -> None:
+        """Take the settings of the robot's model, and the target of the present pose."""
+        self._controller, self._robot, self._target = controller, Robot(settings), target
         self._time = self._then = 0  # [ns]
 
     def step(self, pose: FloatArray, dt: float, motion: FloatArray) -> ControlOutput:
@@ -285,7 +290,7 @@ class _ClosedLoop:
     def __init__(
         self,
         settings: Settings,
-        path: Path,
+        motion_cost: MotionCost,
         starts: FloatArray,
         controller: Controller | _Modelled,
         robot: Unicycle,
@@ -294,7 +299,7 @@ class _ClosedLoop:
         self._starts, self._controller = starts, controller
         self._robot, self._faults = robot, faults
         self._undisturbed = SimulatorSettings(plant=robot.plant)
-        self._motion_cost = MotionCost(settings, path, getattr(controller, "reference", None))
+        self._motion_cost = motion_cost
         self._input_cost = settings.cost.input_cost_matrix()
         self._failed = np.zeros(starts.shape[:-1], dtype=bool)
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from steady import steady_schedule
 
 from adp_path_follower.core.control.fallback import Distrust, RiccatiPolicy, is_doubtful
-from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
 from adp_path_follower.core.path.library import lissajous, named_path
@@ -54,7 +55,7 @@ def test_the_first_decision_takes_effect_at_once_and_later_ones_change_over_stea
 
 def test_the_riccati_policy_is_the_linear_one_near_the_path():
     tuning, path = build(Settings, UNLIMITED), named_path("circle:0.5")
-    policy = RiccatiPolicy(tuning, RiccatiSchedule(path, tuning.target, tuning.cost))
+    policy = RiccatiPolicy(tuning, steady_schedule(path, tuning.target, tuning.cost))
     error = 1e-5 * np.array([1.0, -2.0, 3.0])
     found = policy.modified_input(np.append(error, 0.0), np.array(0.5), np.zeros(2))
     solution = riccati_solution(0.5, tuning.target.desired_speed, tuning.target, tuning.cost)

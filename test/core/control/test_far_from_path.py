@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from steady import steady_schedule
 
 from adp_path_follower.core.control.far_from_path import WideRegion
-from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import pose_in_frame
 from adp_path_follower.core.path.library import circle, named_path
@@ -51,7 +52,7 @@ def blended(kind, error, learned, curvature=0.0, **values):
     """Return the input at errors (..., 3) on a path of constant curvature."""
     path = BEND if curvature else LINE
     chosen = tuning(kind, **values)
-    region = WideRegion(chosen, RiccatiSchedule(path, chosen.target, chosen.cost))
+    region = WideRegion(chosen, steady_schedule(path, chosen.target, chosen.cost))
     zeta = np.concatenate([error, np.zeros((*error.shape[:-1], 1))], axis=-1)
     kappa = np.full(error.shape[:-1], curvature)
     steady = 0.5 * np.stack([np.ones_like(kappa), kappa], axis=-1)
@@ -289,7 +290,7 @@ def test_before_a_sharp_bend_a_robot_ahead_turns_to_where_the_path_will_be():
 
 def test_the_curvature_to_count_is_that_here_unless_the_robot_is_ahead():
     chosen, path = build(Settings, {}), named_path("lissajous")
-    region = WideRegion(chosen, RiccatiSchedule(path, chosen.target, chosen.cost))
+    region = WideRegion(chosen, steady_schedule(path, chosen.target, chosen.cost))
     place = np.array(15.527)
     here = path.curvature(place)
     for error in ([0.2, 0.1, 0.0], [-4.0, 1.0, 0.5], [0.0, 3.0, 1.0]):

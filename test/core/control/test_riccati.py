@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
+from steady import steady_schedule
 
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.riccati import (
     INPUT_MATRIX,
-    RiccatiSchedule,
     riccati_solution,
     riccati_solutions,
     system_matrix,
@@ -162,7 +162,7 @@ def test_numbers_too_extreme_for_a_solution_are_refused_with_what_to_do():
 @given(place=st.floats(-200.0, 400.0))
 def test_between_its_nodes_the_schedule_is_near_the_solution(figure_eight, place):
     target, cost = TargetSettings(), CostSettings()
-    schedule = RiccatiSchedule(figure_eight, target, cost)
+    schedule = steady_schedule(figure_eight, target, cost)
     curvature = figure_eight.curvature(place)
     exact = riccati_solution(float(curvature), target.desired_speed, target, cost)
     found = schedule.matrix(curvature, 0.5)
@@ -175,7 +175,7 @@ def test_between_its_nodes_the_schedule_is_near_the_solution(figure_eight, place
 @pytest.mark.parametrize("curvature", [-2.0, -0.03, 0.5, 3.0])
 def test_a_circle_has_its_own_solution_and_that_of_a_straight_line(curvature):
     target, cost = TargetSettings(), CostSettings()
-    schedule = RiccatiSchedule(circle(curvature), target, cost)
+    schedule = steady_schedule(circle(curvature), target, cost)
     for kappa in (curvature, 0.0):
         exact = riccati_solution(kappa, target.desired_speed, target, cost)
         np.testing.assert_allclose(schedule.matrix(np.asarray(kappa), 0.5), exact, atol=1e-4)
@@ -184,12 +184,12 @@ def test_a_circle_has_its_own_solution_and_that_of_a_straight_line(curvature):
 def test_beyond_the_table_the_nearest_solution_holds():
     target, cost = TargetSettings(), CostSettings()
     bend = circle(1.0)
-    schedule = RiccatiSchedule(bend, target, cost)
+    schedule = steady_schedule(bend, target, cost)
     ends = schedule.matrix(np.array([0.0, bend.curvature_range[1]]), 0.5)
     found = schedule.matrix(np.array([-5.0, -math.inf, 7.0, math.inf]), 0.5)
     assert found.tolist() == [ends[0].tolist()] * 2 + [ends[1].tolist()] * 2
     assert np.isfinite(schedule.matrix(np.asarray(math.nan), 0.5)).all()
-    straight = RiccatiSchedule(named_path("line"), target, cost)
+    straight = steady_schedule(named_path("line"), target, cost)
     assert straight.matrix(np.zeros(()), 0.5).tolist() == (
         riccati_solution(0.0, target.desired_speed, target, cost).tolist()
     )
@@ -197,13 +197,13 @@ def test_beyond_the_table_the_nearest_solution_holds():
 
 def test_a_bend_sharper_than_the_table_is_taken_for_its_sharpest():
     target, cost = TargetSettings(), CostSettings()
-    schedule = RiccatiSchedule(circle(20.0), target, cost)
+    schedule = steady_schedule(circle(20.0), target, cost)
     sharpest = riccati_solution(10.0, target.desired_speed, target, cost)
     np.testing.assert_allclose(schedule.matrix(np.asarray(20.0), 0.5), sharpest, rtol=1e-9)
 
 
 def test_matrices_have_the_shape_of_the_curvatures(figure_eight):
-    schedule = RiccatiSchedule(figure_eight, TargetSettings(), CostSettings())
+    schedule = steady_schedule(figure_eight, TargetSettings(), CostSettings())
     several = figure_eight.curvature(np.linspace(0.0, 130.0, 12)).reshape(3, 4)
     together = schedule.matrix(several, 0.5)
     assert together.shape == (3, 4, 3, 3)

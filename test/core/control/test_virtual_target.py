@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from steady import steady_reference, steady_target
 
 from adp_path_follower.core.control.cost import RunningCost
-from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.geometry import pose_in_frame
 from adp_path_follower.core.path.library import circle
 from adp_path_follower.core.settings.groups import CostSettings, TargetSettings
@@ -22,7 +22,7 @@ periods = st.floats(1e-3, 0.1)
 
 def observed(place, error):
     """Return a target that has seen a robot at a place, and the robot's pose."""
-    target = VirtualTarget(PATH, SLOW, place)
+    target = steady_target(PATH, SLOW, place)
     pose = pose_in_frame(error, PATH.frame(place).pose)
     target.move(pose, 0.0)
     return target, pose
@@ -31,7 +31,7 @@ def observed(place, error):
 @settings(max_examples=50, deadline=None)
 @given(place=st.floats(0.0, 20.0), error=errors, dt=periods)
 def test_the_first_move_only_looks(place, error, dt):
-    target = VirtualTarget(PATH, SLOW, place)
+    target = steady_target(PATH, SLOW, place)
     frame, found = target.move(pose_in_frame(error, PATH.frame(place).pose), dt)
     assert target.arc_length == place
     np.testing.assert_allclose(found, error, atol=1e-9)
@@ -54,7 +54,7 @@ def test_after_a_hold_one_move_takes_no_time_and_the_next_one_does(place, error,
 @given(place=st.floats(0.0, 20.0), error=errors, dt=periods)
 def test_a_copy_goes_on_from_the_same_place_by_its_own_settings(place, error, dt):
     target, pose = observed(place, error)
-    same, faster = target.copy(SLOW), target.copy(FAST)
+    same, faster = (target.copy(item, steady_reference(PATH, item)) for item in (SLOW, FAST))
     faster.move(pose, dt)
     assert target.arc_length == same.arc_length == place  # copies are independent
     target.move(pose, dt)
@@ -70,13 +70,13 @@ def test_a_copy_goes_on_from_the_same_place_by_its_own_settings(place, error, dt
 def test_a_copy_of_a_held_target_is_held():
     target, pose = observed(3.0, np.array([0.1, 0.2, 0.3]))
     target.hold()
-    copied = target.copy(FAST)
+    copied = target.copy(FAST, steady_reference(PATH, FAST))
     copied.move(pose, 0.1)
     assert copied.arc_length == 3.0
 
 
 def test_one_start_serves_a_batch():
-    target = VirtualTarget(PATH, SLOW, 3.0)
+    target = steady_target(PATH, SLOW, 3.0)
     pose = np.broadcast_to(PATH.frame(3.0).pose, (2, 4, 3))
     target.move(pose, 0.0)
     target.move(pose, 0.02)

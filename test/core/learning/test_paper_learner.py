@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from steady import steady_schedule
 
-from adp_path_follower.core.control.riccati import RiccatiSchedule, riccati_solution
+from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import pose_in_frame
 from adp_path_follower.core.learning.bellman import Observation, bellman_errors
@@ -26,7 +27,7 @@ from adp_path_follower.core.settings.schema import build
 
 SIZE = 9
 EIGHT = lissajous()
-SCHEDULE = RiccatiSchedule(EIGHT, TargetSettings(), CostSettings())
+SCHEDULE = steady_schedule(EIGHT, TargetSettings(), CostSettings())
 seeds = st.integers(0, 2**32 - 1)
 weights = npst.arrays(float, SIZE, elements=st.floats(-5.0, 5.0))
 UNMEASURED = Observation(np.zeros(()), lambda: pytest.fail("measured"))

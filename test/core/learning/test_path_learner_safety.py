@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
+from steady import steady_schedule
 
-from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame
 from adp_path_follower.core.learning import sweep
@@ -39,7 +39,7 @@ def at(place, distance):
 def riccati_weights(follower):
     """Return the weights of the Riccati policy where the target is, shape (L,)."""
     tuning = follower.settings
-    schedule = RiccatiSchedule(follower.path, tuning.target, tuning.cost)
+    schedule = steady_schedule(follower.path, tuning.target, tuning.cost)
     matrix = schedule.matrix(
         follower.path.curvature(follower.arc_length), tuning.target.desired_speed
     )
@@ -246,7 +246,7 @@ def test_without_learning_weights_that_are_not_finite_are_replaced_as_well():
 
 def test_only_the_robot_whose_weights_are_not_finite_has_the_riccati_policy():
     tuning = build(Settings, SMALL)
-    schedule = RiccatiSchedule(EIGHT, tuning.target, tuning.cost)
+    schedule = steady_schedule(EIGHT, tuning.target, tuning.cost)
     learner = PathLearner(tuning, schedule, (2,))
     places = np.array([10.0, 40.0])
     learner.settle(at(places, 1.0))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from steady import steady_reference
 
 from adp_path_follower.core.learning.bellman import bellman_errors, excitation
 from adp_path_follower.core.learning.paper_learner import SampledModel
@@ -17,6 +18,10 @@ from adp_path_follower.core.settings.schema import build
 
 PATHS = {"figure eight": lissajous(), "circle": circle(-0.8)}
 weights = npst.arrays(float, 9, elements=st.floats(-3.0, 3.0))
+
+
+def model_of(tuning, path):
+    return SampledModel(tuning, path, steady_reference(path, tuning.target).profile)
 
 
 @st.composite
@@ -51,7 +56,7 @@ def assert_same(sweep, naive):
 )
 def test_sampled_errors_without_limits(printed, paper, name, critic, actor, state_cost, input_cost):
     values = {**paper, "state_cost": state_cost, "input_cost": input_cost}
-    model = SampledModel(build(Settings, values), PATHS[name])
+    model = model_of(build(Settings, values), PATHS[name])
     assert len(model) == 81
     naive = printed.sampled_errors(values, PATHS[name], critic, actor)
     assert_same(model.sweep(critic, actor), naive)
@@ -89,7 +94,7 @@ def test_sampled_errors_of_limited_commands(
         "sample_half_widths": (1.5, 1.0, 0.7, 0.6),
         "input_cost": input_cost,
     }
-    model = SampledModel(build(Settings, values), PATHS[name])
+    model = model_of(build(Settings, values), PATHS[name])
     assert len(model) == math.prod(counts)
     naive = printed.sampled_errors(values, PATHS[name], critic, actor)
     assert_same(model.sweep(critic, actor), naive)
@@ -146,7 +151,7 @@ def test_a_bellman_error_is_the_formula(printed, critic, zeta, zeta_rate, runnin
 def test_a_batch_of_weights_is_as_single_ones(paper, figure_eight, critic, actor, limited):
     limits = {"min_linear_vel": 0.0, "max_linear_vel": 0.8, "max_angular_vel": 0.6}
     values = {**paper, **(limits if limited else {})}
-    model = SampledModel(build(Settings, values), figure_eight)
+    model = model_of(build(Settings, values), figure_eight)
     together = model.sweep(critic, actor)
     assert together.error.shape == (2, 3, 81)
     certificates = excitation(together.information)
@@ -180,7 +185,7 @@ def test_excitation_is_the_smallest_singular_value(regressor, critic):
 def test_the_papers_grid_determines_every_weight(paper, figure_eight):
     tuning = build(Settings, paper)
     initial = np.array(paper["initial_actor_weights"])
-    sweep = SampledModel(tuning, figure_eight).sweep(initial, initial)
+    sweep = model_of(tuning, figure_eight).sweep(initial, initial)
     assert float(excitation(sweep.information)) > 0.1
 
 
@@ -188,5 +193,5 @@ def test_the_papers_grid_determines_every_weight(paper, figure_eight):
 def test_samples_that_leave_a_weight_open_do_not_excite(paper, figure_eight, counts):
     tuning = build(Settings, {**paper, "samples_per_axis": counts})
     initial = np.array(paper["initial_actor_weights"])
-    sweep = SampledModel(tuning, figure_eight).sweep(initial, initial)
+    sweep = model_of(tuning, figure_eight).sweep(initial, initial)
     assert abs(float(excitation(sweep.information))) < 1e-12

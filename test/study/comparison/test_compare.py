@@ -12,9 +12,9 @@ import warnings
 
 import numpy as np
 import pytest
+from steady import steady_target
 
 from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.library import circle, named_path
 from adp_path_follower.core.settings.groups import Settings
@@ -143,7 +143,7 @@ class Standing:
 
     def __init__(self, settings, path, arc_length):
         self.settings, self.path = settings, path
-        self.target = VirtualTarget(path, settings.target, arc_length)
+        self.target = steady_target(path, settings.target, arc_length)
 
     def step(self, pose, dt):
         """Return a zero command."""
