@@ -1,15 +1,43 @@
-"""Gather the messages of one topic as numbers, little by little."""
+"""Gather the messages of one topic as numbers, little by little, thousands decoded at once.
+
+Messages of one topic differ in their numbers, and hardly ever in the lengths of their strings and
+sequences. So where the numbers lie is found once, and then read from all messages of the same
+lengths in one step.
+"""
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.messages.cdr import MessageDecoder, NumbersKind
+from adp_path_follower.messages.raw import (
+    HEADER,
+    STAMP,
+    CdrError,
+    aligned,
+    byte_order,
+    check_end,
+    numbers_at,
+    text_at,
+)
 
 _BATCH = 4096  # messages that are decoded at once
+_NUMBER = 8  # bytes
+
+
+@dataclass(frozen=True)
+class NumbersKind:
+    """A type of message that is numbers, 64 bits each, behind a header or a layout."""
+
+    count: int | None  # how many there are; None for those of an array, which says it
+    columns: tuple[int, ...] | None = None  # which of them are read; None for all
+    texts: int = 0  # frames before the numbers, the first of them in a header
+
+
 _POSE = (0, 1, 3, 4, 5, 6)  # x, y and quaternion among the numbers of a pose
 _TWIST = (0, 5)  # v and w among those of a twist
 _BEHIND_POSE = 43  # numbers of a pose with its covariance
@@ -123,3 +151,102 @@ def _planar(values: FloatArray) -> FloatArray:
         map(math.atan2, sine.tolist(), cosine.tolist()), dtype=float, count=len(values)
     )
     return np.column_stack([values[:, :2], heading, values[:, 6:]])
+
+
+class _Layout(NamedTuple):
+    """Where the numbers of a message lie."""
+
+    order: str
+    lengths: tuple[int, ...]  # places of the lengths that decide about it
+    start: int
+    numbers: int  # how many there are
+    text: str  # the frame of a header, or the label of an array
+
+
+class MessageDecoder:
+    """Reads the numbers of messages of one type."""
+
+    def __init__(self, kind: NumbersKind) -> None:
+        self._kind = kind
+        self.broken = 0  # messages that were not of the type
+
+    def decode(self, messages: Sequence[bytes]) -> list[tuple[np.ndarray, np.ndarray, FloatArray]]:
+        """Return the numbers of messages, in blocks of equal layout.
+
+        Each block has the places of its messages, shape (n,); their stamps [ns], shape (n,), zero
+        without header; and a row of numbers for each, shape (n, M).
+        """
+        sizes = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
+        rest = np.arange(len(messages))
+        blocks = []
+        while len(rest):
+            first = messages[rest[0]]
+            try:
+                layout = self._layout(first)
+            except CdrError:
+                self.broken += 1
+                rest = rest[1:]
+                continue
+            alike = rest[sizes[rest] == len(first)]
+            data = b"".join([messages[index] for index in alike])
+            matrix = np.frombuffer(data, dtype=np.uint8).reshape(len(alike), len(first))
+            fixed = [0, 1, *(at + byte for at in layout.lengths for byte in range(4))]
+            same = (matrix[:, fixed] == matrix[0, fixed]).all(axis=1)
+            if not same.all():
+                matrix = np.ascontiguousarray(matrix[same])
+            chosen = alike[same]
+            blocks.append((chosen, *self._read(matrix, layout)))
+            rest = rest[~np.isin(rest, chosen)]
+        return blocks
+
+    def text(self, message: bytes) -> str:
+        """Return the frame in a sound message's header, or the label of an array's numbers."""
+        return self._layout(message).text
+
+    def _read(self, matrix: np.ndarray, layout: _Layout) -> tuple[np.ndarray, FloatArray]:
+        """Return stamps and values of messages of one layout, one a row of bytes."""
+        rows, size = matrix.shape
+
+        def column(form: str, at: int) -> np.ndarray:
+            return np.ndarray((rows,), layout.order + form, matrix, at, (size,))
+
+        stamps = np.zeros(rows, dtype=np.int64)
+        if self._kind.texts:
+            stamps += column("i4", HEADER).astype(np.int64) * 1_000_000_000
+            stamps += column("u4", HEADER + 4)
+        shape, strides = (rows, layout.numbers), (size, _NUMBER)
+        numbers = np.ndarray(shape, f"{layout.order}f8", matrix, layout.start, strides)
+        columns = self._kind.columns
+        chosen = numbers if columns is None else numbers[:, columns]
+        return stamps, chosen.astype(float)
+
+    def _layout(self, message: bytes) -> _Layout:
+        """Return where the numbers of a message lie; CdrError if it is too short."""
+        order = byte_order(message)
+        lengths: list[int] = []
+        found: list[str] = []
+
+        def text(at: int) -> int:
+            lengths.append(aligned(at, 4))
+            content, end = text_at(message, lengths[-1], order)
+            found.append(content)
+            return end
+
+        def length(at: int) -> int:
+            lengths.append(at)
+            (count,) = numbers_at(f"{order}I", message, at)
+            return int(count)
+
+        at, count = HEADER, self._kind.count
+        if self._kind.texts:
+            at += STAMP
+        for _ in range(self._kind.texts):
+            at = text(at)
+        if count is None:
+            dimensions, at = length(at), at + 4
+            for _ in range(dimensions):
+                at = aligned(text(at), 4) + 8  # behind size and stride
+            count, at = length(aligned(at, 4) + 4), aligned(at, 4) + 8  # behind data_offset
+        start = aligned(at, _NUMBER) if count else at
+        check_end(message, start + _NUMBER * count)
+        return _Layout(order, tuple(lengths), start, count, found[0] if found else "")

@@ -8,9 +8,8 @@ import numpy as np
 
 from adp_path_follower.bags.reader import messages_of
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
-from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.raw import CdrError, way_between
 from adp_path_follower.messages.raw import read_transforms as raw_transforms
-from adp_path_follower.messages.raw import way_between
 
 _TOPICS = ("tf", "tf_static")  # in a namespace, too
 _TYPE = "tf2_msgs/msg/TFMessage"

@@ -9,29 +9,67 @@ read and written as the few numbers that count, in a tenth of rclpy's time.
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
-from adp_path_follower.messages.cdr import (
-    HEADER,
-    STAMP,
-    CdrError,
-    aligned,
-    byte_order,
-    check_end,
-    numbers_at,
-    text_at,
-    too_short,
-)
 
+HEADER = 4  # bytes of encapsulation before the first field
+STAMP = 8  # bytes
+_PADDING = 7  # [bytes], the most behind the last field
 _LITTLE_ENDIAN = b"\0\1\0\0"  # the encapsulation
 _POSE = 56  # bytes: seven numbers
 _TWIST = 48  # bytes: six numbers
 _COVARIANCE = 288  # bytes: thirty-six numbers
 _NANOSECONDS = 1_000_000_000
 _DEEPEST = 50  # frames above another: wrong transforms may have them in a ring
+
+
+class CdrError(ValueError):
+    """Report bytes that are not a message of the given definition."""
+
+
+def byte_order(raw: bytes) -> str:
+    """Return the byte order of a serialised message; CdrError if it is none."""
+    if len(raw) < HEADER or raw[0] != 0 or raw[1] not in (0, 1):
+        raise CdrError("no CDR encapsulation")
+    return "<" if raw[1] else ">"
+
+
+def aligned(at: int, size: int) -> int:
+    """Return the next place at a multiple of a size [bytes]."""
+    return at + -(at - HEADER) % size
+
+
+def numbers_at(form: str, raw: bytes, at: int) -> tuple[Any, ...]:
+    """Return numbers of a form of `struct` at a place; CdrError if the message is too short."""
+    try:
+        return struct.unpack_from(form, raw, at)
+    except struct.error:
+        raise too_short() from None
+
+
+def text_at(raw: bytes, at: int, order: str) -> tuple[str, int]:
+    """Return a string, and where it ends; CdrError if the message is too short."""
+    (size,) = numbers_at(f"{order}I", raw, at)
+    end = at + 4 + size
+    if end > len(raw):
+        raise too_short()
+    return raw[at + 4 : end].rstrip(b"\0").decode(errors="replace"), end
+
+
+def too_short() -> CdrError:
+    """Return the error of a message that ends before its last field."""
+    return CdrError("the message is shorter than its fields")
+
+
+def check_end(message: bytes, end: int) -> None:
+    """Raise CdrError where the last field of a message ends elsewhere than the message itself."""
+    if end > len(message):
+        raise too_short()
+    if len(message) - end > _PADDING:  # by another definition its numbers are others
+        raise CdrError("the message is longer than its fields")
 
 
 @dataclass(frozen=True)

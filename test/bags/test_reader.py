@@ -16,11 +16,10 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from adp_path_follower.analysis.recorded_run import drive_of
-from adp_path_follower.bags.columns import KINDS
+from adp_path_follower.bags.columns import KINDS, MessageDecoder
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.errors import FileError
-from adp_path_follower.messages.cdr import MessageDecoder
 from bag_messages import (
     SECOND,
     STORE,

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.messages.cdr import CdrError
-from adp_path_follower.messages.raw import read_odometry, stamped_numbers
+from adp_path_follower.messages.raw import CdrError, read_odometry, stamped_numbers
 from bag_messages import STORE, TYPES
 
 NAMES = st.text("abcäß/_", max_size=9)

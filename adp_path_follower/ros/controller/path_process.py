@@ -24,8 +24,7 @@ import numpy as np
 from adp_path_follower.core.errors import AdpError, PathError
 from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.settings.groups import PathSettings
-from adp_path_follower.messages.cdr import CdrError
-from adp_path_follower.messages.raw import read_path
+from adp_path_follower.messages.raw import CdrError, read_path
 from adp_path_follower.ros.runtime.stop_request import ending_signals
 
 _NICE = 5  # control comes first, where there are fewer cores than processes

@@ -11,8 +11,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
 from adp_path_follower.core.safety.odometry_check import Measurement
-from adp_path_follower.messages.cdr import CdrError
-from adp_path_follower.messages.raw import read_odometry, stamped_numbers
+from adp_path_follower.messages.raw import CdrError, read_odometry, stamped_numbers
 
 NANOSECONDS = 1_000_000_000
 

@@ -20,8 +20,7 @@ from adp_path_follower.core.driving.moving_frame import MovingFrame
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error
 from adp_path_follower.core.settings.navigation import NavigationSettings
-from adp_path_follower.messages.cdr import CdrError
-from adp_path_follower.messages.raw import read_transforms, way_between
+from adp_path_follower.messages.raw import CdrError, read_transforms, way_between
 
 _TOPICS = {"/tf": DurabilityPolicy.VOLATILE, "/tf_static": DurabilityPolicy.TRANSIENT_LOCAL}
 _DEPTH = 100

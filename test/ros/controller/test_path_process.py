@@ -18,7 +18,7 @@ from rclpy.serialization import serialize_message
 from adp_path_follower.core.errors import AdpError, PathError
 from adp_path_follower.core.path.library import circle, lissajous
 from adp_path_follower.core.settings.groups import PathSettings
-from adp_path_follower.messages.cdr import CdrError
+from adp_path_follower.messages.raw import CdrError
 from adp_path_follower.ros.controller import path_process
 from adp_path_follower.ros.controller.path_process import FittingProcess, reason, route_of_message
 from adp_path_follower.ros.runtime.conversions import poses_message

@@ -19,8 +19,7 @@ from rclpy.serialization import serialize_message
 from adp_path_follower.analysis.recorded_run import drive_of
 from adp_path_follower.bags.reader import read_run
 from adp_path_follower.core.settings.groups import PathSettings
-from adp_path_follower.messages.cdr import CdrError
-from adp_path_follower.messages.raw import is_empty, read_path
+from adp_path_follower.messages.raw import CdrError, is_empty, read_path
 from adp_path_follower.ros.controller.path_input import PathIntake, PathRequest, answer
 from adp_path_follower.ros.controller.path_process import route_of_message
 from adp_path_follower.ros.runtime.conversions import quaternion_of
