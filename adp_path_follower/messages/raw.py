@@ -6,14 +6,18 @@ at even distances and are read in one step. Odometry and what is sent, in every 
 read and written as the few numbers that count, in a tenth of rclpy's time.
 """
 
+import math
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
+
+if TYPE_CHECKING:  # the process that prepares paths need not wait for it
+    from adp_path_follower.core.driving.output import FollowerOutput
 
 HEADER = 4  # bytes of encapsulation before the first field
 STAMP = 8  # bytes
@@ -173,6 +177,57 @@ def stamped_numbers(
         coded = text.encode() + b"\0"
         head += struct.pack(f"<{-len(head) % 4}xI{len(coded)}s", len(coded), coded)
     return _LITTLE_ENDIAN + head + struct.pack(f"<{-len(head) % 8}x{len(numbers)}d", *numbers)
+
+
+def pose_numbers(pose: FloatArray) -> tuple[float, ...]:
+    """Return a planar pose (3,) as the seven numbers of a geometry_msgs/Pose."""
+    x, y, theta = pose.tolist()
+    return (x, y, 0.0, 0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
+
+
+def twist_numbers(velocity: FloatArray) -> tuple[float, ...]:
+    """Return [v, w] as the six numbers of a geometry_msgs/Twist."""
+    v, w = velocity.tolist()
+    return (v, 0.0, 0.0, 0.0, 0.0, w)
+
+
+def text_message(text: str) -> bytes:
+    """Return a serialised std_msgs/String."""
+    coded = text.encode() + b"\0"
+    return _LITTLE_ENDIAN + struct.pack(f"<I{len(coded)}s", len(coded), coded)
+
+
+def array_message(labels: Iterable[str], values: Sequence[float]) -> bytes:
+    """Return a serialised Float64MultiArray: one row, whose dimension's label names its values."""
+    coded, count = ", ".join(labels).encode() + b"\0", len(values)
+    head = struct.pack(f"<II{len(coded)}s", 1, len(coded), coded)
+    head += struct.pack(f"<{-len(head) % 4}xIIII", count, count, 0, count)
+    return _LITTLE_ENDIAN + head + struct.pack(f"<{-len(head) % 8}x{count}d", *values)
+
+
+# The debug topics of a control step, below the controller's name.
+STEP_TOPICS = (
+    *("target", "tracking_error", "critic_weights", "actor_weights"),
+    *("bellman_error", "excitation", "cost"),
+)
+
+
+def step_message(
+    topic: str, time: int, frame: str, output: "FollowerOutput", cost: float, labels: Iterable[str]
+) -> bytes:
+    """Return what one of `STEP_TOPICS` tells of a control step at a time [ns], serialised.
+
+    The cost is J so far; the labels name the terms of the basis.
+    """
+    if topic == "target":
+        return stamped_numbers(time, frame, pose_numbers(output.target_pose))
+    if topic == "tracking_error":
+        return stamped_numbers(time, frame, output.error.tolist())
+    if topic in ("critic_weights", "actor_weights"):
+        weights: FloatArray = getattr(output.weights, topic.removesuffix("_weights"))
+        return array_message(labels, weights.tolist())
+    value = cost if topic == "cost" else getattr(output, topic)
+    return _LITTLE_ENDIAN + struct.pack("<d", float(value))
 
 
 def frame_of(raw: bytes) -> str:

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adp_path_follower.messages.raw import CdrError, read_odometry, stamped_numbers
-from bag_messages import STORE, TYPES
+from adp_path_follower.messages.raw import (
+    CdrError,
+    array_message,
+    read_odometry,
+    stamped_numbers,
+    text_message,
+)
+from bag_messages import STORE, TYPES, array, text
 
 NAMES = st.text("abcäß/_", max_size=9)
 NUMBERS = st.lists(st.floats(), min_size=13, max_size=13)
@@ -100,3 +106,17 @@ def test_a_header_and_numbers_are_written_as_the_serialiser_does(time, frame, nu
     for message, written in ((vector, numbers[:3]), (twist, numbers)):
         expected = STORE.serialize_cdr(message, message.__msgtype__)
         assert stamped_numbers(time, frame, written) == bytes(expected)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    labels=st.lists(NAMES, min_size=1, max_size=4),
+    numbers=st.lists(st.floats(allow_nan=False), min_size=1, max_size=5),
+    content=NAMES,
+)
+def test_texts_and_arrays_are_written_as_the_serialiser_does(labels, numbers, content):
+    for message, written in (
+        (text(content), text_message(content)),
+        (array(numbers, ", ".join(labels)), array_message(labels, numbers)),
+    ):
+        assert written == bytes(STORE.serialize_cdr(message, message.__msgtype__))

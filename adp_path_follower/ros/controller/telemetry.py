@@ -1,12 +1,9 @@
 """The controller's debug topics and diagnostics: published only while somebody listens."""
 
 import math
-import operator
 import time as steady
 from collections.abc import Callable
-from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped, Vector3Stamped
 from rclpy.event_handler import PublisherEventCallbacks
@@ -24,13 +21,13 @@ from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.safety.supervisor import State, Status
 from adp_path_follower.core.settings.groups import ControllerSettings
-from adp_path_follower.messages.raw import stamped_numbers
-from adp_path_follower.ros.runtime.conversions import (
+from adp_path_follower.messages.raw import (
+    STEP_TOPICS,
     array_message,
-    make_header,
-    pose_message,
-    pose_stamped,
+    stamped_numbers,
+    step_message,
 )
+from adp_path_follower.ros.runtime.conversions import make_header, pose_message
 from adp_path_follower.ros.runtime.qos import (
     ALL_CHANGES,
     EVERY_STEP,
@@ -43,16 +40,9 @@ _LISTENERS_PERIOD = 0.1  # [s], steady: how often it is asked who listens
 _MARKER_PERIOD = 0.1  # [s], steady: of the virtual target
 _MARKER_POINTS = 2000  # of a long path: each takes a microsecond or two of the control thread
 
-# Debug topic -> its type, and the part of a step's output that it tells; the cost J is none.
-_STEP_TOPICS: dict[str, tuple[type, str]] = {
-    "~/target": (PoseStamped, "target_pose"),
-    "~/tracking_error": (Vector3Stamped, "error"),
-    "~/critic_weights": (Float64MultiArray, "weights.critic"),
-    "~/actor_weights": (Float64MultiArray, "weights.actor"),
-    "~/bellman_error": (Float64, "bellman_error"),
-    "~/excitation": (Float64, "excitation"),
-    "~/cost": (Float64, ""),
-}
+# Types of the debug topics that tell no single number.
+_STEP_TYPES = {"target": PoseStamped, "tracking_error": Vector3Stamped}
+_STEP_TYPES |= {"critic_weights": Float64MultiArray, "actor_weights": Float64MultiArray}
 
 _LEVELS = {
     State.INACTIVE: DiagnosticStatus.WARN,
@@ -125,9 +115,10 @@ class Telemetry:
             for topic in ("~/measured_pose", "~/measured_motion")
         ]
         self._labels = labels
-        self._steps: list[tuple[Publisher, type, str]] = [
-            (_quiet_publisher(node, kind, topic, LOSSLESS if lossless else EVERY_STEP), kind, part)
-            for topic, (kind, part) in _STEP_TOPICS.items()
+        qos = LOSSLESS if lossless else EVERY_STEP
+        self._steps: list[tuple[Publisher, str]] = [
+            (_quiet_publisher(node, _STEP_TYPES.get(topic, Float64), f"~/{topic}", qos), topic)
+            for topic in STEP_TOPICS
         ]
         self._heard = self._steps  # those of them that somebody listens to
 
@@ -147,19 +138,8 @@ class Telemetry:
     ) -> None:
         """Publish a control step at a time [ns], with what it measured; cost is J so far."""
         self.measured(time, frame, measured)
-        for publisher, kind, part in self._steps_to_tell(time):
-            value = operator.attrgetter(part)(output) if part else cost
-            publisher.publish(self._message(kind, time, frame, value))
-
-    def _message(self, kind: type, time: int, frame: str, value: Any) -> Any:
-        """Return a value of a step at a time [ns] as a message of some kind."""
-        if kind is PoseStamped:
-            return pose_stamped(time, frame, value)
-        if kind is Vector3Stamped:
-            return stamped_numbers(time, frame, value.tolist())
-        if kind is Float64MultiArray:
-            return array_message(self._labels, value)
-        return Float64(data=float(value))
+        for publisher, topic in self._steps_to_tell(time):
+            publisher.publish(step_message(topic, time, frame, output, cost, self._labels))
 
     def measured(self, time: int, frame: str, values: tuple[FloatArray, FloatArray]) -> None:
         """Publish what a step at a time [ns] went by.
@@ -169,7 +149,7 @@ class Telemetry:
         for publisher, numbers in zip(self._measured, values, strict=True):
             publisher.publish(stamped_numbers(time, frame, numbers.tolist()))
 
-    def _steps_to_tell(self, time: int) -> list[tuple[Publisher, type, str]]:
+    def _steps_to_tell(self, time: int) -> list[tuple[Publisher, str]]:
         """Return what to publish of a step at a time [ns]; to count subscribers is expensive."""
         if self._lossless and self._kept < LOSSLESS.depth:
             self._kept += 1
@@ -245,7 +225,7 @@ class Telemetry:
             values["cost"] = f"{float(driver.follower.cost):.6g}"
         report = driver.robot.report  # empty of a robot that is taken for ideal
         if report:
-            self._robot.publish(array_message(tuple(report), np.array([*report.values()])))
+            self._robot.publish(array_message(report, [*report.values()]))
         values.update({name: f"{value:.4g}" for name, value in report.items()})
         level = _LEVELS[status.state]
         message = status.state.value + (f": {status.cause}" if status.cause else "")

@@ -6,12 +6,12 @@ import numpy as np
 from geometry_msgs.msg import Pose, PoseStamped, Quaternion, Twist
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
+from std_msgs.msg import Header
 
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray, yaw_of_quaternion
 from adp_path_follower.core.safety.odometry_check import Measurement
-from adp_path_follower.messages.raw import CdrError, read_odometry, stamped_numbers
+from adp_path_follower.messages.raw import CdrError, read_odometry, stamped_numbers, twist_numbers
 
 NANOSECONDS = 1_000_000_000
 
@@ -99,13 +99,4 @@ def twist_message(command: FloatArray) -> Twist:
 
 def twist_stamped(time: int, frame: str, command: FloatArray) -> bytes:
     """Return a command [v, w] with a stamp [ns] as a serialised TwistStamped."""
-    v, w = command.tolist()
-    return stamped_numbers(time, frame, (v, 0.0, 0.0, 0.0, 0.0, w))
-
-
-def array_message(labels: tuple[str, ...], values: FloatArray) -> Float64MultiArray:
-    """Return values as one row, whose dimension's label names them: "s y, s θ, ..."."""
-    message = Float64MultiArray(data=values.tolist())
-    label = ", ".join(labels)
-    message.layout.dim = [MultiArrayDimension(label=label, size=len(values), stride=len(values))]
-    return message
+    return stamped_numbers(time, frame, twist_numbers(command))
