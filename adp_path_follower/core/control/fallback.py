@@ -95,6 +95,7 @@ class Fallback:
     def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
         self._policy, self._distrust = RiccatiPolicy(settings, riccati), Distrust()
         self.reset = self._distrust.reset
+        self._watches = settings.policy.fallback != "none"
         nothing = np.full(3, _NOTHING)
         self._input_cost = settings.cost.input_cost_matrix()
         self._nothing = float(nothing @ settings.cost.state_cost_matrix() @ nothing)
@@ -116,8 +117,10 @@ class Fallback:
         Bellman error delta, running cost r and value, shape (...) each, are those of the learned
         policy's input (..., 2) at states zeta (..., 4), where the path has kappa [1/m] and
         [v_ss, w_ss] (..., 2). There is no doubt of a policy that does not drive (...), as another
-        one does so far from the path.
+        one does so far from the path, and never with `fallback: none`.
         """
+        if not self._watches:
+            return np.zeros_like(running_cost)
         riccati_value = self._policy.value(zeta, curvature, feedforward[..., 0])
         doubtful = is_doubtful(bellman_error, running_cost, value, riccati_value, self._nothing)
         doubtful = doubtful & drives

@@ -17,11 +17,8 @@ is that half a period ahead, as commands are held. Every function broadcasts
 over the leading axes (...) of a batch of robots.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from adp_path_follower.core.basis import Expansion, Numbers
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.control.cost import RunningCost
@@ -31,32 +28,11 @@ from adp_path_follower.core.control.near_path import NearPath
 from adp_path_follower.core.control.policy import descending_input, saturate, within
 from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.control.virtual_target import VirtualTarget
-from adp_path_follower.core.driving.output import FollowerOutput
+from adp_path_follower.core.driving.output import FollowerOutput, Situation
 from adp_path_follower.core.geometry import FloatArray, Number, components, cos, inner, numbers, sin
 from adp_path_follower.core.learning.bellman import BellmanErrors, bellman_errors
 from adp_path_follower.core.learning.path_learner import Learner
-from adp_path_follower.core.learning.weights import Weights
 from adp_path_follower.core.settings.groups import Settings
-
-
-@dataclass(frozen=True)
-class Situation:
-    """The state of equation (1), its motion, and the value function there."""
-
-    zeta: FloatArray  # the state, shape (..., 4)
-    arc_length: FloatArray  # s_p of the target [m], shape (...)
-    curvature: FloatArray  # kappa at the target [1/m], shape (...)
-    feedforward: FloatArray  # [v_ss, w_ss], shape (..., 2)
-    heading: Numbers  # cos and sin of the heading error, numbers of shape (...)
-    drift: Numbers  # f, four numbers of shape (...)
-    expansion: Expansion  # sigma and sigma'
-    weights: Weights  # critic and actor there
-    passing: Number  # (dWc/ds_p)^T sigma s_p', shape (...)
-
-    @property
-    def place(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return zeta, kappa and [v_ss, w_ss], as policies take them."""
-        return self.zeta, self.curvature, self.feedforward
 
 
 class CommandLaw:
@@ -76,8 +52,7 @@ class CommandLaw:
         self._running_cost = RunningCost(settings.cost)
         self._inverse_cost = settings.cost.inverse_input_cost()
         self._wide_region = WideRegion(settings, riccati)
-        safe_policy = settings.policy.fallback != "none"
-        self.fallback = Fallback(settings, riccati) if safe_policy else None
+        self.fallback = Fallback(settings, riccati)
         self._near_path = near_path
         self.robot_is_ideal = True  # whether the robot moves as it is told; else it is held
 
@@ -98,18 +73,16 @@ class CommandLaw:
         here = self.situation(target, target.v_des, coming)
         learned = self.actor_input(here)
         running_cost, measured = self._bellman_error(here, learned)
-        doubt = np.zeros_like(running_cost)
-        if self.fallback is not None:
-            there, tried, rate, errors = here, learned, running_cost, measured
-            speed = self._riccati.profile.model_speed(target.arc_length)
-            if speed is not target.v_des and np.any(speed != target.v_des):
-                # Coming from rest, or near the end: judged at the speed that was learned for.
-                there = self.situation(target, speed, coming)
-                tried = self.actor_input(there)
-                rate, errors = self._bellman_error(there, tried)
-            delta, value = errors.error[..., 0], inner(there.weights.critic, there.expansion.value)
-            drives = self._wide_region.share(there.zeta) < 1.0
-            doubt = self.fallback.doubt(delta, rate, value, tried, drives, dt, *there.place)
+        there, tried, rate, errors = here, learned, running_cost, measured
+        speed = self._riccati.profile.model_speed(target.arc_length)
+        if speed is not target.v_des and np.any(speed != target.v_des):
+            # Coming from rest, or near the end: judged at the speed that was learned for.
+            there = self.situation(target, speed, coming)
+            tried = self.actor_input(there)
+            rate, errors = self._bellman_error(there, tried)
+        delta, value = errors.error[..., 0], inner(there.weights.critic, there.expansion.value)
+        drives = self._wide_region.share(there.zeta) < 1.0
+        doubt = self.fallback.doubt(delta, rate, value, tried, drives, dt, *there.place)
         applied = self._safe_input(here, learned, doubt, dt)
         # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.
         wanted = within(applied + here.feedforward, self.settings.limits)
@@ -136,11 +109,7 @@ class CommandLaw:
         self, target: VirtualTarget, v_des: Number, coming: FloatArray | None = None
     ) -> Situation:
         """Return zeta, its drift and the value function where the robot is, equation (1)."""
-        gains, arc_length, curvature = (
-            self.settings.target,
-            target.arc_length,
-            target.frame.curvature,
-        )
+        gains, arc_length, kappa = self.settings.target, target.arc_length, target.frame.curvature
         s, y, theta = numbers(target.error)
         zeta = components(s, y, theta, error_dynamics.path_state(arc_length, gains))
         expansion, weights = self._basis.expansion(zeta), self._learner.local(arc_length)
@@ -151,10 +120,10 @@ class CommandLaw:
         return Situation(
             zeta=zeta,
             arc_length=arc_length,
-            curvature=curvature,
-            feedforward=error_dynamics.feedforward(curvature if coming is None else coming, v_des),
+            curvature=kappa,
+            feedforward=error_dynamics.feedforward(kappa if coming is None else coming, v_des),
             heading=(cos(theta), sin(theta)),
-            drift=numbers(error_dynamics.drift(zeta, curvature, gains, v_des)),
+            drift=numbers(error_dynamics.drift(zeta, kappa, gains, v_des)),
             expansion=expansion,
             weights=weights,
             passing=passing,
@@ -184,9 +153,7 @@ class CommandLaw:
         self, here: Situation, learned: FloatArray, doubt: FloatArray, dt: float
     ) -> FloatArray:
         """Return the input after fallback and far policy, shape (..., 2), equation (6)."""
-        applied = learned
-        if self.fallback is not None:
-            applied = self.fallback.blend(applied, doubt, *here.place)
+        applied = self.fallback.blend(learned, doubt, *here.place)
         applied = self._wide_region.blend(applied, here.arc_length, *here.place, dt)
         if self._near_path is None or self.robot_is_ideal:
             return applied

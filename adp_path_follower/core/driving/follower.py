@@ -183,8 +183,7 @@ class PathFollower:
         """Let no time pass until the next step: the robot was stopped, or not observed."""
         self._previous = None
         self._target.hold()
-        if self.law.fallback is not None:
-            self.law.fallback.reset()  # at once it is decided anew which policy drives
+        self.law.fallback.reset()  # at once it is decided anew which policy drives
         self._actuation.stop(forget=True)
 
     def reset_learning(self, where: np.ndarray | None = None) -> None:

@@ -1,9 +1,10 @@
-"""The result of one control step, as telemetry, replay and simulation take it."""
+"""Beginning and result of one control step, as telemetry, replay and simulation take it."""
 
 from dataclasses import dataclass
 
+from adp_path_follower.core.basis import Expansion, Numbers
 from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.geometry import FloatArray
+from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.learning.bellman import BellmanErrors, SampleEvidence
 from adp_path_follower.core.learning.weights import Weights
 
@@ -15,6 +16,26 @@ class Counts:
     learning_resets: int = 0  # how often learning has been reset
     restarts: int = 0  # how often following has begun anew from where the robot was then
     stops: int = 0  # how often the robot has been told to stop after a command
+
+
+@dataclass(frozen=True)
+class Situation:
+    """The state of equation (1), its motion, and the value function there."""
+
+    zeta: FloatArray  # the state, shape (..., 4)
+    arc_length: FloatArray  # s_p of the target [m], shape (...)
+    curvature: FloatArray  # kappa at the target [1/m], shape (...)
+    feedforward: FloatArray  # [v_ss, w_ss], shape (..., 2)
+    heading: Numbers  # cos and sin of the heading error, numbers of shape (...)
+    drift: Numbers  # f, four numbers of shape (...)
+    expansion: Expansion  # sigma and sigma'
+    weights: Weights  # critic and actor there
+    passing: Number  # (dWc/ds_p)^T sigma s_p', shape (...)
+
+    @property
+    def place(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return zeta, kappa and [v_ss, w_ss], as policies take them."""
+        return self.zeta, self.curvature, self.feedforward
 
 
 @dataclass(frozen=True)
