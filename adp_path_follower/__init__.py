@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from adp_path_follower.core.own_basis import register_basis
     from adp_path_follower.front import analyze, compare, load_settings, optimum, path, simulate
     from adp_path_follower.study.comparison.controllers import register_peer
-    from adp_path_follower.study.comparison.peers.peer import PeerController
+    from adp_path_follower.study.comparison.peer import PeerController
 
 __version__ = "0.1.0"
 
@@ -42,7 +42,7 @@ __all__ = [
 _HOMES = {  # of those that are not of `front`
     "Driver": "core.driving.driver",
     "PathFollower": "core.driving.follower",
-    "PeerController": "study.comparison.peers.peer",
+    "PeerController": "study.comparison.peer",
     "register_basis": "core.own_basis",
     "register_far_policy": "core.control.far_from_path",
     "register_peer": "study.comparison.controllers",

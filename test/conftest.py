@@ -35,14 +35,14 @@ def pytest_ignore_collect(collection_path: FilePath, config: pytest.Config) -> b
 
 # The files that take longest, longest first: with the others at the end, workers end together.
 _LONGEST = (
-    *("study/optimum/test_optimum", "study/paper/test_reproduce", "examples/test_examples"),
+    *("study/optimum/test_optimum", "study/test_paper", "examples/test_examples"),
     *("study/comparison/test_compare", "analysis/test_bag_page", "core/control/test_value_grid"),
     *("study/simulation/test_simulate", "study/sweeps/test_tuning", "cli/test_commands"),
     *("study/comparison/test_late_robot", "study/simulation/test_near_optimal"),
     *("study/comparison/test_peers", "bags/recovery/test_torn_bags", "core/robot/test_robot"),
     *("cli/test_sweep", "core/control/test_far_from_path", "cli/test_analyze"),
     # The same for real nodes
-    *("study/demo/test_closed_loop", "ros/controller/test_node", "ros/controller/test_far_values"),
+    *("study/test_demo", "ros/controller/test_node", "ros/controller/test_far_values"),
     "cli/test_replay",
     *("ros/controller/test_begin_and_go_on", "ros/controller/test_safety"),
     *("ros/controller/test_weights", "ros/recorder/test_recorder"),
@@ -60,7 +60,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def domain() -> Iterator[int]:
     """Yield the number of a DDS domain that nobody else uses."""
-    from adp_path_follower.study.demo.closed_loop import own_domain
+    from adp_path_follower.study.demo import own_domain
 
     with own_domain() as number:
         yield number
@@ -134,7 +134,7 @@ def _record(folder: FilePath) -> None:
     from adp_path_follower.core.path.library import lissajous
     from adp_path_follower.core.settings.groups import Settings
     from adp_path_follower.core.settings.parameter_file import load_settings
-    from adp_path_follower.study.demo.closed_loop import run_closed_loop
+    from adp_path_follower.study.demo import run_closed_loop
     from adp_path_follower.study.simulation.simulate import PAPER_START
 
     settings = load_settings(Settings, "path_follower")

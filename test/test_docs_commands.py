@@ -24,8 +24,8 @@ SHELL = ("sh", "bash", "console")
 # Beginning of a command -> why it is not run here.
 NOT_RUN = {
     "adp compare": "takes minutes: test/study/comparison runs it",
-    "adp demo": "drives real nodes: test/study/demo runs it",
-    "adp paper": "takes minutes: test/study/paper runs it",
+    "adp demo": "drives real nodes: test/study/test_demo.py runs it",
+    "adp paper": "takes minutes: test/study/test_paper.py runs it",
     "adp sweep": "takes minutes: test/cli/test_sweep.py runs one",
     "adp tune": "takes minutes: test/study/sweeps runs one",
     "cd ": "needs a workspace and a network: .ci/colcon does it",

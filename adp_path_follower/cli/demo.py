@@ -98,7 +98,7 @@ def _run(
     directory: FilePath,
 ) -> FilePath:
     """Run the nodes with a progress bar and return the bag."""
-    from adp_path_follower.study.demo.closed_loop import Progress, run_closed_loop
+    from adp_path_follower.study.demo import Progress, run_closed_loop
 
     shown = 0.0
     bar: Any

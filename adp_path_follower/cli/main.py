@@ -31,8 +31,7 @@ _COMMANDS = {
     "tune": "Search for better settings by simulation, on all cores.",
 }
 # Where a command is, if not in the module of its name.
-_HOMES = {name: f"bags.{name}" for name in ("analyze", "identify", "recover", "replay")}
-_HOMES |= {"docs": "main", "tune": "sweep"}
+_HOMES = {"docs": "main", "tune": "sweep"}
 
 
 class _LazyGroup(click.Group):

@@ -11,7 +11,7 @@ import click
 from adp_path_follower.cli import options, outputs
 
 if TYPE_CHECKING:  # it needs CasADi, which `--help` does not
-    from adp_path_follower.study.paper.reproduce import Reproduction
+    from adp_path_follower.study.paper import Reproduction
 
 log = logging.getLogger(__name__)
 
@@ -26,13 +26,13 @@ def paper(directory: FilePath) -> None:
     with the optimum as circles, the same laws for ten minutes, and the quantities of its stability
     theorem. Needs no ROS; takes some minutes.
     """
-    from adp_path_follower.study.paper.reproduce import reproduce
+    from adp_path_follower.study.paper import reproduce
 
     with outputs.output_directory(directory):
         log.info("simulating the paper's run, ten minutes of it, and 26 optima: some minutes")
         with options.progress_bar("simulating and optimising") as progress:
             found = reproduce(progress)
-        from adp_path_follower.study.paper.reproduce import draw_paper
+        from adp_path_follower.study.paper import draw_paper
 
         draw_paper(found, directory)
         numbers = _numbers(found)

@@ -16,10 +16,10 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import require
 
 if TYPE_CHECKING:  # Dask and Optuna are loaded when there is something to run
-    from adp_path_follower.study.sweeps.request.conditions import Conditions
-    from adp_path_follower.study.sweeps.request.request import Tuning
+    from adp_path_follower.study.sweeps.cluster import Workers
+    from adp_path_follower.study.sweeps.conditions import Conditions
+    from adp_path_follower.study.sweeps.request import Tuning
     from adp_path_follower.study.sweeps.results import Results
-    from adp_path_follower.study.sweeps.workers.cluster import Workers
 
 _TIMED = 3  # combinations of a sweep that are timed for --dry-run
 
@@ -46,11 +46,11 @@ def sweep(
     report.html (heat maps and the Pareto front) and best.yaml (the best settings).
     """
     require("adp sweep", "sweep")
-    from adp_path_follower.study.sweeps.request.request import read_sweep
+    from adp_path_follower.study.sweeps.folder import PartsFolder
+    from adp_path_follower.study.sweeps.request import read_sweep
     from adp_path_follower.study.sweeps.results import results
+    from adp_path_follower.study.sweeps.runs import check_paths
     from adp_path_follower.study.sweeps.study import sweep_study
-    from adp_path_follower.study.sweeps.workers.folder import PartsFolder
-    from adp_path_follower.study.sweeps.workers.runs import check_paths
 
     asked = read_sweep(file)
     count = asked.combinations
@@ -125,7 +125,7 @@ def tune(
     best.yaml, which the node loads. An interrupted search goes on with the same command.
     """
     require("adp tune", "sweep")
-    from adp_path_follower.study.sweeps.request.request import read_tuning, tuning_of_options
+    from adp_path_follower.study.sweeps.request import read_tuning, tuning_of_options
 
     if file is None:
         asked = tuning_of_options(params, assignments, vary, objectives)
@@ -157,10 +157,10 @@ def _search(
     workers: int | None,
 ) -> None:
     """Try what is left of a search, and tell and write what was found."""
+    from adp_path_follower.study.sweeps.folder import OutputFolder
     from adp_path_follower.study.sweeps.results import results
     from adp_path_follower.study.sweeps.study import open_study, tried
     from adp_path_follower.study.sweeps.study import tune as run_tuning
-    from adp_path_follower.study.sweeps.workers.folder import OutputFolder
 
     begun, trials = time.monotonic(), asked.search.trials
     with OutputFolder(directory, "tune", asked.description()):
@@ -196,8 +196,8 @@ def _say_how_long(
 
     `count` is the number of combinations of settings, `at_once` how many workers they can use.
     """
-    from adp_path_follower.study.sweeps.workers import cluster
-    from adp_path_follower.study.sweeps.workers.runs import seconds_each
+    from adp_path_follower.study.sweeps import cluster
+    from adp_path_follower.study.sweeps.runs import seconds_each
 
     runs = count * conditions.runs
     click.echo(
@@ -229,7 +229,7 @@ def _at_work(
     label: str, scheduler: str | None, workers: int | None
 ) -> Iterator[tuple[Workers, Callable[[float], None]]]:
     """Yield workers for work that can be resumed, and what takes the fraction done."""
-    from adp_path_follower.study.sweeps.workers import cluster
+    from adp_path_follower.study.sweeps import cluster
 
     try:
         with cluster.workers(scheduler, workers) as found, options.progress_bar(label) as progress:

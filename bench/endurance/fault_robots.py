@@ -19,7 +19,7 @@ sys.path.insert(0, str(FilePath(__file__).resolve().parents[2] / "test" / "ros" 
 # The tests' nodes, and a peer on their domain.
 from geometry_msgs.msg import TwistStamped
 
-from adp_path_follower.study.demo.closed_loop import NodeProcess
+from adp_path_follower.study.demo import NodeProcess
 from live_nodes import Drive, Peer, is_zero, launched  # after the path
 
 

@@ -43,7 +43,7 @@ from test_node import BROKEN_CONTROLLER
 from test_other_processes import Team
 from test_safety import HANGING_CONTROLLER, SimulatedTime
 
-from adp_path_follower.study.demo.closed_loop import own_domain
+from adp_path_follower.study.demo import own_domain
 from live_nodes import Drive, Peer, is_zero
 
 PAGE = FilePath(__file__).resolve().parents[2] / "docs" / "safety.md"

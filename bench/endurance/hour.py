@@ -48,7 +48,7 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.drawing.figure_style import COLORS, STYLE
 from adp_path_follower.ros.runtime.conversions import poses_message
-from adp_path_follower.study.demo.closed_loop import NodeProcess, own_domain
+from adp_path_follower.study.demo import NodeProcess, own_domain
 from live_nodes import Peer, is_zero  # after the path
 
 WARM_UP = 5.0  # [min] after which memory must not grow any more

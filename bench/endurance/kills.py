@@ -21,7 +21,7 @@ sys.path.insert(0, str(FilePath(__file__).resolve().parents[2] / "test" / "suppo
 
 import kills
 
-from adp_path_follower.study.demo.closed_loop import own_domain
+from adp_path_follower.study.demo import own_domain
 
 _MOST_LOST = 0.5  # [s]
 

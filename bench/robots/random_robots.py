@@ -41,8 +41,8 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.comparison.controllers import ControllerFactory
-from adp_path_follower.study.comparison.peers.error_laws import Lqr, TunedLapierreSoetanto
-from adp_path_follower.study.comparison.peers.steering import (
+from adp_path_follower.study.comparison.error_laws import Lqr, TunedLapierreSoetanto
+from adp_path_follower.study.comparison.steering import (
     PurePursuit,
     TunedRegulatedPurePursuit,
     TunedStanley,

@@ -28,7 +28,7 @@ from adp_path_follower.core.control.value_store import value_grid
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.schema import flatten
 from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
-from adp_path_follower.study.demo.closed_loop import NodeProcess, own_domain
+from adp_path_follower.study.demo import NodeProcess, own_domain
 
 _DURATION = 20.0  # [s]
 _PATIENCE = 60.0  # [s]

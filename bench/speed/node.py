@@ -44,7 +44,7 @@ from adp_path_follower.ros.runtime.conversions import (
     poses_message,
     stamp_nanoseconds,
 )
-from adp_path_follower.study.demo.closed_loop import NodeProcess, own_domain
+from adp_path_follower.study.demo import NodeProcess, own_domain
 
 _RATES = (20.0, 50.0, 100.0, 200.0)
 _CONTROLLER = {"control_trigger": "odometry", "path_start": "beginning"}

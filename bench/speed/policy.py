@@ -31,7 +31,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.learning import LearningSettings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.drawing.figure_style import COLORS, STYLE
-from adp_path_follower.study.comparison.peers.nmpc import Nmpc
+from adp_path_follower.study.comparison.nmpc import Nmpc
 
 _WEIGHTS, _SAMPLES = (9, 24, 48, 104), (81, 400, 1000, 3000)
 _FLOOR, _PEER = "bare products", "NMPC"

@@ -20,7 +20,7 @@ import numpy as np
 import psutil
 import pyarrow.parquet as pq
 
-from adp_path_follower.study.sweeps.request.request import read_sweep
+from adp_path_follower.study.sweeps.request import read_sweep
 
 DEFAULT = FilePath(__file__).parents[2] / "config" / "sweeps" / "twenty_thousand.yaml"
 

@@ -241,7 +241,7 @@ def test_an_interrupted_player_is_exit_code_130(bag, tmp_path, monkeypatch):
 def test_without_plotly_the_bag_of_a_replay_is_there_without_a_report(
     tmp_path, monkeypatch, capsys
 ):
-    from adp_path_follower.cli.bags import replay as command
+    from adp_path_follower.cli import replay as command
 
     monkeypatch.setitem(sys.modules, "plotly", None)
     command._write_report(tmp_path / "bag", {"odom": "/odom"}, tmp_path / "new", False)

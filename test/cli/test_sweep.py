@@ -26,10 +26,10 @@ import yaml
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import flatten
-from adp_path_follower.study.sweeps.request.request import read_sweep
-from adp_path_follower.study.sweeps.workers.cluster import noted_interrupts
-from adp_path_follower.study.sweeps.workers.folder import PartsFolder
-from adp_path_follower.study.sweeps.workers.runs import run_part
+from adp_path_follower.study.sweeps.cluster import noted_interrupts
+from adp_path_follower.study.sweeps.folder import PartsFolder
+from adp_path_follower.study.sweeps.request import read_sweep
+from adp_path_follower.study.sweeps.runs import run_part
 
 PAPER = CONFIG / "paper.yaml"
 TIMEOUT = 240.0  # [s] for anything that must happen; a loaded machine is slow, not wrong

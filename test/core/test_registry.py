@@ -17,7 +17,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.learning import OWN_FAR_POLICIES
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.study.comparison.controllers import OWN_PEERS, contender, known_controllers
-from adp_path_follower.study.comparison.peers.error_laws import Lqr
+from adp_path_follower.study.comparison.error_laws import Lqr
 from folders import ROOT
 
 

@@ -148,7 +148,7 @@ def forked_node(
 ) -> Any:
     """Return a node of the package as a fork of the server; see `NodeProcess`."""
     from adp_path_follower.core.settings.schema import yaml_text
-    from adp_path_follower.study.demo.closed_loop import NodeProcess
+    from adp_path_follower.study.demo import NodeProcess
 
     class ForkedNode(NodeProcess):
         """A node that a server has started."""

@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Reader
 
 import known_messages
 from adp_path_follower.bags.recovery.recover import recover
-from adp_path_follower.study.demo.closed_loop import NodeProcess
+from adp_path_follower.study.demo import NodeProcess
 
 _READY = 60.0  # [s]
 

@@ -23,7 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
-from adp_path_follower.study.demo.closed_loop import NodeProcess
+from adp_path_follower.study.demo import NodeProcess
 from forked_nodes import ForkedProcess, NodeServer
 
 TIMEOUT = 30.0  # [s] for anything that must happen; a loaded machine is slow, not wrong

@@ -23,7 +23,7 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.robot import ROBOT_MODELS
 from adp_path_follower.core.settings.schema import build, update
 from adp_path_follower.resources import config_file
-from adp_path_follower.study.comparison.peers import error_laws, nmpc, steering
+from adp_path_follower.study.comparison import error_laws, nmpc, steering
 from adp_path_follower.study.simulation.simulate import ControllerFactory
 
 

@@ -14,9 +14,9 @@ from optuna.trial import FrozenTrial
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.drawing.figure_style import COLORS, POINT_COLOR
 from adp_path_follower.drawing.page import write_page
-from adp_path_follower.study.sweeps.request.conditions import WHERE_KNOWN
-from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES, UNSTABLE_SCORE
-from adp_path_follower.study.sweeps.request.ranges import Listed, Variation
+from adp_path_follower.study.sweeps.conditions import WHERE_KNOWN
+from adp_path_follower.study.sweeps.objectives import OBJECTIVES, UNSTABLE_SCORE
+from adp_path_follower.study.sweeps.ranges import Listed, Variation
 from adp_path_follower.study.sweeps.results import Results, shown
 from adp_path_follower.study.sweeps.study import score_of
 

@@ -16,9 +16,9 @@ from adp_path_follower.core.files import output_to, write_output
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import parameter_file_text
 from adp_path_follower.core.settings.schema import Value, flatten
-from adp_path_follower.study.sweeps.request.objectives import Score
-from adp_path_follower.study.sweeps.request.ranges import Listed, Range, Variation
-from adp_path_follower.study.sweeps.request.request import Request, Tuning
+from adp_path_follower.study.sweeps.objectives import Score
+from adp_path_follower.study.sweeps.ranges import Listed, Range, Variation
+from adp_path_follower.study.sweeps.request import Request, Tuning
 from adp_path_follower.study.sweeps.study import baseline, refused, score_of, tried
 
 _LEAST_TRIALS = 20  # fewer do not tell how much a setting matters

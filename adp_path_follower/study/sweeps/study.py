@@ -12,10 +12,10 @@ from optuna.trial import FrozenTrial, Trial, TrialState, create_trial
 from adp_path_follower.core.errors import AdpError, SettingsError
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import flatten
-from adp_path_follower.study.sweeps.request.objectives import Score
-from adp_path_follower.study.sweeps.request.request import Sweep, Tuning
-from adp_path_follower.study.sweeps.workers.cluster import Workers
-from adp_path_follower.study.sweeps.workers.runs import score_settings
+from adp_path_follower.study.sweeps.cluster import Workers
+from adp_path_follower.study.sweeps.objectives import Score
+from adp_path_follower.study.sweeps.request import Sweep, Tuning
+from adp_path_follower.study.sweeps.runs import score_settings
 
 _BASELINE = "baseline"
 _SCORE = "score"

@@ -29,7 +29,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import flatten, setting_fields
 from adp_path_follower.ros.controller.node import PathFollowerNode
 from adp_path_follower.ros.runtime.conversions import odometry_message, poses_message
-from adp_path_follower.study.demo.closed_loop import own_domain
+from adp_path_follower.study.demo import own_domain
 
 FRAMES = ("odom", "base_link")
 # A small learner, as it is not what is tried here; and no clock, so that any stamp may come.

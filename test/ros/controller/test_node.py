@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import setting_fields
 from adp_path_follower.ros.runtime.parameters import descriptor
-from adp_path_follower.study.demo.closed_loop import NodeProcess
+from adp_path_follower.study.demo import NodeProcess
 from live_nodes import TIMEOUT, Drive, Peer, ends_with_stop, is_zero, running_script
 
 pytestmark = pytest.mark.nodes

@@ -28,7 +28,7 @@ from adp_path_follower.core.settings.groups import ControllerSettings, Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.ros.controller.commands import Commands
-from adp_path_follower.study.demo.closed_loop import run_closed_loop
+from adp_path_follower.study.demo import run_closed_loop
 from adp_path_follower.study.replay.replay import compare_weights, replay
 from live_nodes import Drive, Peer, ends_with_stop, is_zero, running_script
 

@@ -31,7 +31,7 @@ from adp_path_follower.ros.recorder.settings import (
     is_meant,
     topic_patterns,
 )
-from adp_path_follower.study.demo.closed_loop import own_domain
+from adp_path_follower.study.demo import own_domain
 
 pytestmark = pytest.mark.nodes
 

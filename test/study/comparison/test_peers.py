@@ -23,14 +23,14 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.resources import config_file
+from adp_path_follower.study.comparison import steering
 from adp_path_follower.study.comparison.controllers import PEERS
-from adp_path_follower.study.comparison.peers import steering
-from adp_path_follower.study.comparison.peers.error_laws import (
+from adp_path_follower.study.comparison.error_laws import (
     LapierreSoetanto,
     Lqr,
     TunedLapierreSoetanto,
 )
-from adp_path_follower.study.comparison.peers.steering import (
+from adp_path_follower.study.comparison.steering import (
     PurePursuit,
     RegulatedPurePursuit,
     Stanley,
@@ -339,7 +339,7 @@ def test_nmpc_keeps_its_shifted_plan_when_the_solver_fails(monkeypatch):
 
 @needs_casadi
 def test_nmpc_finds_a_solver_without_a_compiler(monkeypatch):
-    from adp_path_follower.study.comparison.peers import nmpc
+    from adp_path_follower.study.comparison import nmpc
 
     monkeypatch.setenv("PATH", "")
     settings = build(Settings, {**UNLIMITED, "desired_speed": 0.4})

@@ -14,9 +14,9 @@ pytest.importorskip("distributed", reason="the extra 'sweep' is not installed")
 
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.study.sweeps.objectives import score_of_runs
 from adp_path_follower.study.sweeps.page import sweep_figures, write_sweep_page
-from adp_path_follower.study.sweeps.request.objectives import score_of_runs
-from adp_path_follower.study.sweeps.request.request import read_sweep
+from adp_path_follower.study.sweeps.request import read_sweep
 from adp_path_follower.study.sweeps.results import results, results_text, write_results
 from adp_path_follower.study.sweeps.study import score_of, sweep_study
 

@@ -14,7 +14,7 @@ import optuna
 
 from adp_path_follower.messages.configuration import parse_configuration
 from adp_path_follower.ros.runtime.qos import ALL_CHANGES
-from adp_path_follower.study.sweeps.request.request import read_tuning
+from adp_path_follower.study.sweeps.request import read_tuning
 from adp_path_follower.study.sweeps.results import results, write_results
 from adp_path_follower.study.sweeps.study import open_study, tune
 

@@ -21,8 +21,8 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
-from adp_path_follower.study.sweeps.request.ranges import Listed, Range, own_range
-from adp_path_follower.study.sweeps.request.request import read_tuning, tuning_of_options
+from adp_path_follower.study.sweeps.ranges import Listed, Range, own_range
+from adp_path_follower.study.sweeps.request import read_tuning, tuning_of_options
 from adp_path_follower.study.sweeps.results import results, results_text, write_results
 from adp_path_follower.study.sweeps.study import (
     open_study,

@@ -27,7 +27,7 @@ from adp_path_follower.core.settings.schema import (
     setting_fields,
 )
 from adp_path_follower.resources import did_you_mean
-from adp_path_follower.study.sweeps.request.conditions import (
+from adp_path_follower.study.sweeps.conditions import (
     CONDITION_ENTRIES,
     Conditions,
     RunSettings,
@@ -35,7 +35,7 @@ from adp_path_follower.study.sweeps.request.conditions import (
     read_conditions,
     section,
 )
-from adp_path_follower.study.sweeps.request.ranges import (
+from adp_path_follower.study.sweeps.ranges import (
     OWN,
     Listed,
     Range,

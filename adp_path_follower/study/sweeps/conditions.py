@@ -24,7 +24,7 @@ from adp_path_follower.study.simulation.simulate import (
     PAPER_START,
     read_starts,
 )
-from adp_path_follower.study.sweeps.request.objectives import OBJECTIVES
+from adp_path_follower.study.sweeps.objectives import OBJECTIVES
 from sim_unicycle.fault_script import FaultScript, without_nodes
 from sim_unicycle.settings import PlantSettings, simulator_settings
 

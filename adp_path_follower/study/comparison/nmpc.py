@@ -21,7 +21,7 @@ from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedReference, passing_times
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.extras import Library
-from adp_path_follower.study.comparison.peers.peer import PeerController
+from adp_path_follower.study.comparison.peer import PeerController
 
 _MOST_PASSES = 3  # of solving again with the curvature where the last pass has the target
 _REACH = 0.05  # [m] to either side that parabolas of curvature and speed are made for

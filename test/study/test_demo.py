@@ -28,7 +28,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import config_file
 from adp_path_follower.ros.recorder.settings import RUN_TOPICS
-from adp_path_follower.study.demo.closed_loop import run_closed_loop
+from adp_path_follower.study.demo import run_closed_loop
 from adp_path_follower.study.replay.replay import replay
 from adp_path_follower.study.simulation.simulate import PAPER_START, simulate
 from commands import adp

@@ -12,7 +12,7 @@ from folders import ROOT
 pytest.importorskip("casadi", reason="the extra 'optimum' is not installed")
 
 from adp_path_follower.core.path.library import named_path
-from adp_path_follower.study.paper.reproduce import Reproduction, draw_paper, reproduce
+from adp_path_follower.study.paper import Reproduction, draw_paper, reproduce
 
 
 @pytest.fixture(scope="module")

@@ -15,14 +15,14 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build, update
 from adp_path_follower.study.simulation.simulate import simulate
-from adp_path_follower.study.sweeps.request.conditions import (
+from adp_path_follower.study.sweeps.conditions import (
     Conditions,
     PathSource,
     Robot,
     RunSettings,
 )
-from adp_path_follower.study.sweeps.request.objectives import score_of_runs
-from adp_path_follower.study.sweeps.workers.runs import MEASURES, TrackingMeter, simulate_runs
+from adp_path_follower.study.sweeps.objectives import score_of_runs
+from adp_path_follower.study.sweeps.runs import MEASURES, TrackingMeter, simulate_runs
 from folders import CONFIG
 from sim_unicycle.fault_script import FaultScript
 from sim_unicycle.settings import PlantSettings

@@ -18,7 +18,7 @@ from adp_path_follower.core.settings.schema import (
     unknown_name,
     yaml_text,
 )
-from adp_path_follower.study.sweeps.request.conditions import errors_in
+from adp_path_follower.study.sweeps.conditions import errors_in
 
 OWN = "own"
 _AT_END = 0.02  # of a range: its end

@@ -14,10 +14,10 @@ import pyarrow.parquet as pq
 from adp_path_follower import __version__
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.files import UNFINISHED, output_to, write_whole
-from adp_path_follower.study.sweeps.request.objectives import Score, score_of_runs
-from adp_path_follower.study.sweeps.request.request import Sweep
-from adp_path_follower.study.sweeps.workers.cluster import Workers
-from adp_path_follower.study.sweeps.workers.runs import Columns, joined, run_part
+from adp_path_follower.study.sweeps.cluster import Workers
+from adp_path_follower.study.sweeps.objectives import Score, score_of_runs
+from adp_path_follower.study.sweeps.request import Sweep
+from adp_path_follower.study.sweeps.runs import Columns, joined, run_part
 
 _LOCK = ".lock"
 

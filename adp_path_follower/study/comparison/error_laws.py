@@ -10,7 +10,7 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.settings.groups import Settings
-from adp_path_follower.study.comparison.peers.peer import PeerController
+from adp_path_follower.study.comparison.peer import PeerController
 
 
 class LapierreSoetanto(PeerController):

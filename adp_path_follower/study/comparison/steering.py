@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from adp_path_follower.core.geometry import FloatArray, contiguous, tracking_error
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.nearest import place_near
-from adp_path_follower.study.comparison.peers.peer import PeerController
+from adp_path_follower.study.comparison.peer import PeerController
 
 _LEAST_CARROT_SQUARED = 1e-3  # [m^2]: nearer than this there is no arc to it (Nav2)
 # A chord is no shorter than 2 / pi of its arc, up to half a circle; the rest is for a bent path.

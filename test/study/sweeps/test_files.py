@@ -19,10 +19,10 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, setting_fields
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.simulation.simulate import read_starts
-from adp_path_follower.study.sweeps.request.conditions import PathSource
-from adp_path_follower.study.sweeps.request.ranges import Range
-from adp_path_follower.study.sweeps.request.request import read_sweep, read_tuning
-from adp_path_follower.study.sweeps.workers.runs import run_part
+from adp_path_follower.study.sweeps.conditions import PathSource
+from adp_path_follower.study.sweeps.ranges import Range
+from adp_path_follower.study.sweeps.request import read_sweep, read_tuning
+from adp_path_follower.study.sweeps.runs import run_part
 from folders import ROOT
 
 EXAMPLES = sorted((ROOT / "config" / "sweeps").glob("*.yaml"))

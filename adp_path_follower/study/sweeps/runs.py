@@ -18,9 +18,9 @@ from adp_path_follower.core.path.nearest import beside
 from adp_path_follower.core.settings.groups import PathSettings, Settings
 from adp_path_follower.core.settings.schema import Value, update
 from adp_path_follower.study.simulation.simulate import simulate
-from adp_path_follower.study.sweeps.request.conditions import Conditions, PathSource, Robot
-from adp_path_follower.study.sweeps.request.objectives import Score, score_of_runs
-from adp_path_follower.study.sweeps.request.request import Sweep
+from adp_path_follower.study.sweeps.conditions import Conditions, PathSource, Robot
+from adp_path_follower.study.sweeps.objectives import Score, score_of_runs
+from adp_path_follower.study.sweeps.request import Sweep
 
 # Measured columns that are NaN for an impossible run.
 MEASURES = ("cost", "effort", "cross_track_rms", "cross_track_max", "excitation")

@@ -1,4 +1,0 @@
-"""The commands that read bags.
-
-May import every room. Never imported by another.
-"""

@@ -1,4 +1,0 @@
-"""Published controllers behind the interface of this one.
-
-May import `core`. Never knows this project's controller.
-"""

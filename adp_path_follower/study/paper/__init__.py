@@ -1,4 +1,0 @@
-"""Reproduces the paper's run and its figures.
-
-May import `study.simulation`, `study.optimum` and all rooms below. Never changes the printed gains.
-"""
