@@ -18,10 +18,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.columns import Columns, Series
 from adp_path_follower.bags.definitions import Reading, as_jazzy, kind_of
-from adp_path_follower.bags.topics import SERIES, Choice, chosen_topics
+from adp_path_follower.bags.topics import Choice, chosen_topics
 from adp_path_follower.core.errors import FileError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.messages.raw import read_path
+from adp_path_follower.messages.topics import SERIES
 
 _FILES, _PACKED = (".mcap", ".db3"), (".zst", ".zstd")
 _CONVERT = "convert one of ROS 1 with `rosbags-convert --src BAG --dst DIRECTORY`"

@@ -9,37 +9,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from adp_path_follower.bags.definitions import kind_of
 from adp_path_follower.core.errors import FileError
+from adp_path_follower.messages.topics import NODE, PLAIN, TYPES
 
-_NODE = "path_follower"
 _LISTED = 5  # topics in one note
-_ODOMETRY, _PATH = ("nav_msgs/msg/Odometry",), ("nav_msgs/msg/Path",)
-_NUMBER, _ARRAY = ("std_msgs/msg/Float64",), ("std_msgs/msg/Float64MultiArray",)
-# Key in `Run.series`, which is the last part of the topic's name as well -> the types it may have.
-SERIES = {
-    "odom": _ODOMETRY,
-    "ground_truth": _ODOMETRY,
-    "cmd_vel": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"),
-    "target": ("geometry_msgs/msg/PoseStamped",),
-    "measured_pose": ("geometry_msgs/msg/Vector3Stamped",),
-    "measured_motion": ("geometry_msgs/msg/Vector3Stamped",),
-    "tracking_error": ("geometry_msgs/msg/Vector3Stamped",),
-    "critic_weights": _ARRAY,
-    "actor_weights": _ARRAY,
-    "bellman_error": _NUMBER,
-    "excitation": _NUMBER,
-    "cost": _NUMBER,
-    "robot_model": _ARRAY,
-}
-_OTHERS = {
-    "path": _PATH,
-    "goal_path": _PATH,
-    "configuration": ("std_msgs/msg/String",),
-    "initial_weights": ("std_msgs/msg/UInt8MultiArray",),
-    "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray",),
-}
-TYPES = {**SERIES, **_OTHERS}
 _ASKED = ("odom", "cmd_vel", "path")  # may be named, and are found by type where there is one
-_PLAIN = (*_ASKED, "ground_truth", "diagnostics")  # not under the node's name
 
 
 @dataclass(frozen=True)
@@ -62,7 +35,7 @@ class _Bag:
             kind = kind_of(connection)
             kinds[kind] = kinds.get(kind, 0) + connection.msgcount
         nodes = {topic.split("/")[-2] for topic in self.counts if topic.endswith("/measured_pose")}
-        self.node = nodes.pop() if len(nodes) == 1 else _NODE  # it may have another name
+        self.node = nodes.pop() if len(nodes) == 1 else NODE  # it may have another name
 
     def kind(self, topic: str, allowed: Sequence[str]) -> str:
         """Return the type among those allowed that most messages of a topic have, or ""."""
@@ -90,7 +63,7 @@ class _Bag:
     def by_name(self, key: str, odom: str) -> tuple[str, list[str]]:
         """Return the topic of a key, or "", and notes; FileError if several have its name."""
         allowed = TYPES[key]
-        wanted = key if key in _PLAIN else f"{self.node}/{key}"
+        wanted = key if key in PLAIN else f"{self.node}/{key}"
         found = sorted(topic for topic in self.counts if f"/{topic}".endswith(f"/{wanted}"))
         fitting = [topic for topic in found if self.kind(topic, allowed)]
         notes = [

@@ -205,13 +205,6 @@ def array_message(labels: Iterable[str], values: Sequence[float]) -> bytes:
     return _LITTLE_ENDIAN + head + struct.pack(f"<{-len(head) % 8}x{count}d", *values)
 
 
-# The debug topics of a control step, below the controller's name.
-STEP_TOPICS = (
-    *("target", "tracking_error", "critic_weights", "actor_weights"),
-    *("bellman_error", "excitation", "cost"),
-)
-
-
 def step_message(
     topic: str, time: int, frame: str, output: "FollowerOutput", cost: float, labels: Iterable[str]
 ) -> bytes:

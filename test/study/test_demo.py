@@ -26,8 +26,8 @@ from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import lissajous, named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
+from adp_path_follower.messages.topics import RUN_TOPICS
 from adp_path_follower.resources import config_file
-from adp_path_follower.ros.recorder.settings import RUN_TOPICS
 from adp_path_follower.study.demo import run_closed_loop
 from adp_path_follower.study.replay.replay import replay
 from adp_path_follower.study.simulation.simulate import PAPER_START, simulate

@@ -22,11 +22,11 @@ from adp_path_follower.core.path.route import Route
 from adp_path_follower.core.safety.supervisor import State, Status
 from adp_path_follower.core.settings.groups import ControllerSettings
 from adp_path_follower.messages.raw import (
-    STEP_TOPICS,
     array_message,
     stamped_numbers,
     step_message,
 )
+from adp_path_follower.messages.topics import STEP_TOPICS
 from adp_path_follower.ros.runtime.conversions import make_header, pose_message
 from adp_path_follower.ros.runtime.qos import (
     ALL_CHANGES,

@@ -15,30 +15,7 @@ from adp_path_follower import __version__
 from adp_path_follower.bags.bag_file import COMPRESSIONS
 from adp_path_follower.core.errors import SettingsError
 from adp_path_follower.core.settings.schema import flatten, setting, yaml_text
-
-RUN_TOPICS = (
-    "odom",
-    "ground_truth",
-    "cmd_vel",
-    "path",
-    "path_follower/goal_path",
-    "path_follower/target",
-    "path_follower/measured_pose",
-    "path_follower/measured_motion",
-    "path_follower/tracking_error",
-    "path_follower/critic_weights",
-    "path_follower/actor_weights",
-    "path_follower/bellman_error",
-    "path_follower/excitation",
-    "path_follower/cost",
-    "path_follower/robot_model",
-    "path_follower/configuration",
-    "path_follower/initial_weights",
-    "path_follower/status",
-    "/diagnostics",
-    "/tf",
-    "/tf_static",
-)
+from adp_path_follower.messages.topics import RUN_TOPICS
 
 _fixed = functools.partial(setting, read_only="the bag is made at the start")
 _LEAST_DURATION, _LEAST_SIZE = 1.0, 100_000  # [s], [bytes]: smaller files are all index

@@ -18,8 +18,8 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
 from adp_path_follower.bags.reader import messages_of
-from adp_path_follower.bags.topics import TYPES
 from adp_path_follower.core.errors import AdpError
+from adp_path_follower.messages.topics import TYPES
 from adp_path_follower.ros.runtime.conversions import stamp_nanoseconds
 
 _PATIENCE = 30.0  # [s] for a controller to appear

@@ -5,23 +5,22 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path as FilePath
 
 from adp_path_follower.bags.reader import messages_of
-from adp_path_follower.bags.topics import SERIES, TYPES
 from adp_path_follower.bags.writer import BagWriter
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.messages.raw import (
-    STEP_TOPICS,
     pose_numbers,
     stamped_numbers,
     step_message,
     text_message,
     twist_numbers,
 )
+from adp_path_follower.messages.topics import NODE, PLAIN, SERIES, STEP_TOPICS, TYPES
 from adp_path_follower.study.replay.replay import Replay
 
-_NODE = "/path_follower"
+_NODE = f"/{NODE}"
 _NOT_TOLD = ("ground_truth", "robot_model")  # by a replay, of the series that a bag may have
 _KINDS = {
-    f"{'' if key in ('odom', 'cmd_vel') else _NODE}/{key}": kinds[0]
+    f"{'' if key in PLAIN else _NODE}/{key}": kinds[0]
     for key, kinds in SERIES.items()
     if key not in _NOT_TOLD
 }
