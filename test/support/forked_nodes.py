@@ -1,18 +1,22 @@
-"""Start nodes as forks of one process that has imported their libraries.
+"""Start nodes as forks of one process that has imported them.
 
-A node needs most of a second of processor time to import numpy, scipy and the core; a fork has
-them. All else is as in a process of its own: the entry point of the executable, its arguments,
+A node needs most of a second of processor time to import numpy, scipy, rclpy and the core; a fork
+has them. All else is as in a process of its own: the entry point of the executable, its arguments,
 environment, signals, process group and exit code. Other tests start each node as a new Python.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import functools
 import gc
 import importlib
+import inspect
 import itertools
 import json
 import os
+import re
 import resource
 import runpy
 import select
@@ -20,30 +24,21 @@ import signal
 import socket
 import subprocess
 import sys
+import warnings
 from pathlib import Path as FilePath
 from typing import Any
 
 _ENTRY = "adp_path_follower.ros.runtime.entry"
-# Not rclpy: its import starts threads, which a fork would lose.
+_STARTED_BY = "adp_path_follower.ros.runtime.stop_request"
 _PRELOADED = (
     "adp_path_follower.core.driving.driver",
     "adp_path_follower.core.path.preparation",
     "adp_path_follower.core.learning.weights_file",
-    "adp_path_follower.core.safety.odometry_check",
-    "adp_path_follower.core.safety.supervisor",
-    "adp_path_follower.core.settings.parameter_file",
-    "adp_path_follower.messages.configuration",
-    "adp_path_follower.messages.raw",
-    "adp_path_follower.bags.writer",
-    "sim_unicycle.unicycle",
-    "sim_unicycle.fault_script",
-    "diagnostic_msgs.msg",
-    "geometry_msgs.msg",
-    "lifecycle_msgs.srv",
-    "nav_msgs.msg",
-    "rcl_interfaces.srv",
-    "rosgraph_msgs.msg",
-    "std_srvs.srv",
+    "adp_path_follower.ros.controller.node",
+    "adp_path_follower.ros.controller.path_process",
+    "adp_path_follower.ros.path_publisher",
+    "adp_path_follower.ros.recorder.node",
+    "sim_unicycle.node",
 )
 
 
@@ -174,9 +169,31 @@ def _preload() -> None:
     use_one_blas_thread()
     for name in _PRELOADED:
         importlib.import_module(name)
-    assert len(os.listdir("/proc/self/task")) == 1, "a process with threads cannot be forked"
+    # Each type's conversions are libraries that are opened when they are first needed.
+    for module in [module for name, module in sys.modules.items() if "_msgs." in name]:
+        for kind in vars(module).values():
+            if getattr(type(kind), "_TYPE_SUPPORT", 0) is None:
+                type(kind).__import_type_support__()
+    # rclpy asks for it at a node's first line of log, and it looks at the file of each module.
+    inspect.getmodule(inspect.currentframe())
+    _let_tracer_fork()
     gc.collect()
     gc.freeze()
+
+
+def _let_tracer_fork() -> None:
+    """Tell the tracer that rclpy loads of each fork, in which it needs its two threads anew."""
+    maps = FilePath("/proc/self/maps").read_text()
+    found = re.search(r"\S+/liblttng-ust(-[0-9a-f]+)?\.so\.\S+", maps)
+    assert len(os.listdir("/proc/self/task")) == 1 + 2 * (found is not None)
+    if found is not None:
+        library, signals = ctypes.CDLL(found.group()), ctypes.create_string_buffer(128)
+        prefix = "lttng_ust" if hasattr(library, "lttng_ust_before_fork") else "ust"
+        before, parent, child = (
+            functools.partial(getattr(library, f"{prefix}_{name}"), signals)
+            for name in ("before_fork", "after_fork_parent", "after_fork_child")
+        )
+        os.register_at_fork(before=before, after_in_parent=parent, after_in_child=child)
 
 
 def _serve() -> dict[str, Any]:
@@ -188,7 +205,9 @@ def _serve() -> dict[str, Any]:
             _, status = os.waitpid(request["reap"], 0)
             answer = os.waitstatus_to_exitcode(status)
         else:
-            answer = os.fork()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # about the threads
+                answer = os.fork()
             if answer == 0:
                 connection.close()
                 return request
@@ -212,6 +231,7 @@ def _become(request: dict[str, Any]) -> None:
     os.chdir(request["folder"])
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may ignore it (nohup)
     resource.setrlimit(resource.RLIMIT_FSIZE, tuple(request["file_size"]))
+    importlib.reload(sys.modules[_STARTED_BY])  # it looks at its process when it is imported
     sys.argv = [_ENTRY, *request["arguments"]]
 
 
