@@ -4,6 +4,7 @@ from adp_path_follower.threads import use_one_blas_thread
 
 use_one_blas_thread()  # as the executables do; before anything imports numpy
 
+import gc
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
@@ -12,6 +13,7 @@ from typing import Any
 import hypothesis
 import pytest
 
+gc.disable()  # until all tests are imported: there is no garbage before
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # Or a node is found by one that has started before it only after 1.4 s, in the median.
 os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
@@ -55,6 +57,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = FilePath(__file__).parent
     places = {here / f"{name}.py": place for place, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: places.get(item.path, len(places)))
+    gc.freeze()  # modules and tests stay, and need not be looked through again and again
+    gc.enable()
 
 
 @pytest.fixture
