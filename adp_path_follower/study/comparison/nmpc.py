@@ -233,7 +233,7 @@ def _compiled(solver: Any) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         generator.generate(folder + os.sep)
         source, library = os.path.join(folder, "nmpc.c"), os.path.join(folder, "nmpc.so")
-        flags = ["-O3", "-march=native", "-fPIC", "-shared", "-lm"]
+        flags = ["-O1", "-march=native", "-fPIC", "-shared", "-lm"]
         # The library stays loaded after its file is gone.
         try:
             subprocess.run(  # noqa: S603  # the compiler of this machine
