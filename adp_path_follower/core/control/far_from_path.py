@@ -14,7 +14,14 @@ from adp_path_follower.core.control.value_grid import DistantValue, ValueGrid
 from adp_path_follower.core.control.value_iteration import HEADINGS, ValueProblem
 from adp_path_follower.core.control.value_store import problem_of, stored, value_grid
 from adp_path_follower.core.errors import AdpError
-from adp_path_follower.core.geometry import FloatArray, components, wrap_angle
+from adp_path_follower.core.geometry import (
+    FloatArray,
+    advance_pose,
+    components,
+    pose_in_frame,
+    tracking_error,
+    wrap_angle,
+)
 from adp_path_follower.core.path.route import turned_settings
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.learning import OWN_FAR_POLICIES, WIDE_REGIONS
@@ -72,8 +79,11 @@ _STEERING = 3.0  # [1/s] of the error to the best heading there; more would ampl
 # the heading of the half-angle form has a kink there, in whose notch robots would stay for ever.
 _NOTCH = 0.25
 _SPACING = 2.0 * math.pi / len(HEADINGS)  # [rad]
-_MOST_COVERED = 3.0  # [m] over which the coming curvature is averaged
-_PLACES = (np.arange(9) + 0.5) / 9.0  # of these, as shares
+# The coming bend is that of the piece of path which k1 adds in so many [s], for distances ahead
+# and, by so much of them, aside; of so many [m] at most.
+_COMING_TIME, _ASIDE, _MOST_COMING = 3.0, 0.3, 3.0
+_PLACES = np.linspace(0.0, 1.0, 9)  # on it, as shares, and their weights in the mean
+_WEIGHTS = np.array([0.5, *[1.0] * 7, 0.5]) / 8.0
 _CHANGE_TIME = 1.0  # [s] from one policy to another
 _GRID_LEVELS = 0.7  # of `wide_region_levels`: the grid is exact where the learned policy is not yet
 
@@ -234,19 +244,27 @@ class WideRegion:
         else:
             self._far = RiccatiPolicy(settings, riccati)
 
-    def curvature(self, error: FloatArray, arc_length: FloatArray, here: FloatArray) -> FloatArray:
-        """Return the curvature [1/m] (...) to count for robots at errors (..., 3 or 4).
+    def seen(self, zeta: FloatArray, arc_length: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the robot's states and the curvature [1/m] that the far policy is to count.
 
-        It is that `here`, at the target's `arc_length` [m] (...), or the mean over what the target
-        covers while it catches up with a robot ahead of it: faster by k1 s, for about s / 2 v_des.
+        The value on a grid knows circles only. That of a robot away from its target is the circle
+        with the mean curvature, and the end, of the piece of path that comes until it is there.
+
+        Args:
+            zeta: States [s, y, theta, phi], shape (..., 4).
+            arc_length: Places of the target [m], shape (...).
+
         """
-        if self._kind != "value_grid" or (error.ndim == 1 and not self.is_far(error)):
-            return here
-        target = self._settings.target
-        lead = target.target_gain * np.maximum(error[..., 0], 0.0) ** 2
-        covered = np.minimum(lead / (2.0 * target.desired_speed), _MOST_COVERED)[..., None]
-        places = np.asarray(arc_length)[..., None] + covered * _PLACES
-        return np.asarray(self._riccati.path.curvature(places).mean(axis=-1))
+        s, y = zeta[..., 0], zeta[..., 1]
+        distance = np.maximum(s, 0.0) + _ASIDE * np.abs(y)
+        covered = _COMING_TIME * self._settings.target.target_gain * distance
+        covered = np.minimum(covered, _MOST_COMING)
+        places = np.asarray(arc_length)[..., None] + covered[..., None] * _PLACES
+        frames = self._riccati.path.frame(places)
+        curvature = frames.curvature @ _WEIGHTS
+        robot = pose_in_frame(zeta[..., :3], frames.pose[..., 0, :])
+        begin = advance_pose(frames.pose[..., -1, :], -covered, -covered * curvature, 1.0)
+        return np.concatenate([tracking_error(robot, begin), zeta[..., 3:]], -1), curvature
 
     def blend(
         self,
@@ -278,8 +296,9 @@ class WideRegion:
         share = self.share(zeta)[..., None]
         if not (share > 0.0).any():
             return learned
-        coming = self.curvature(zeta, arc_length, curvature)
-        far = np.asarray(self._far.modified_input(zeta, coming, feedforward))
+        if self._kind == "value_grid":
+            zeta, curvature = self.seen(zeta, arc_length)
+        far = np.asarray(self._far.modified_input(zeta, curvature, feedforward))
         far = saturate(far, feedforward, self._settings.limits) if self._is_own else far
         return np.asarray((1.0 - share) * learned + share * far)
 
