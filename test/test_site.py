@@ -32,8 +32,10 @@ def test_pages_fit_a_telephone_and_ask_for_nothing_and_the_search_finds(site):
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 400, "height": 800})
         page.on("request", lambda request: asked.append(request.url))
-        for name in ("commands", "optimality", "index"):  # long lines, formulas and tables
+        # Long lines, formulas, tables, and a page that a server shows from its root.
+        for name in ("commands", "404", "optimality", "index"):
             page.goto((site / f"{name}.html").as_uri())
+            assert page.evaluate("getComputedStyle(document.body).display") == "flex", name
             assert page.evaluate("document.documentElement.scrollWidth") <= 400, name
         page.keyboard.press("f")
         result = ".md-search-result__link:has-text('Metrics')"

@@ -87,7 +87,8 @@ def number(value: float, digits: int = 5) -> str:
     """Return a number as people read it, words for one that is not known."""
     if not math.isfinite(value):
         return NOT_MEASURED
-    return f"{value:.0f}" if value == round(value) and abs(value) < 1e9 else f"{value:.{digits}g}"
+    whole = value == round(value) or abs(value) >= 10.0**digits
+    return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
 
 
 def metrics_table(analyses: Sequence[BagAnalysis]) -> str:

@@ -12,7 +12,7 @@ from adp_path_follower.analysis.bag_analysis import NOT_MEASURED, BagAnalysis, n
 from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.run_charts import LEARNED
 from adp_path_follower.criteria import OFF_PATH, SETTLED
-from adp_path_follower.drawing.charts import Charts
+from adp_path_follower.drawing.charts import Charts, Track
 from adp_path_follower.drawing.figure_style import color
 from adp_path_follower.drawing.page import Card, write_page
 from adp_path_follower.drawing.page_figures import page_data
@@ -21,7 +21,7 @@ CAPTIONS = {
     "track": (
         "Path and track",
         "The robot's track beside the path. The arrow is the robot at the time of the slider "
-        "below.",
+        "below, which “follow” keeps in sight.",
     ),
     "policy_before": (
         "The policy at the first step",
@@ -188,7 +188,8 @@ def _headline(analysis: BagAnalysis) -> Headline:
     metrics = analysis.metrics
     faults = sum(event.kind == "fault" for event in analysis.events)
     distance, farthest = metrics["steady_cross_track_rms"], metrics["steady_cross_track_max"]
-    sentences = [f"{number(metrics['path_covered'], 4)} m of the path were driven"]
+    path = _path_of(analysis.charts.track)
+    sentences = [f"{number(metrics['path_covered'], 4)} m of {path} were driven"]
     if not analysis.trust.compared:
         sentences = [f"{number(metrics['distance'], 4)} m were driven, not compared with the path"]
     if math.isfinite(distance):
@@ -216,6 +217,14 @@ def _headline(analysis: BagAnalysis) -> Headline:
     )
     verdict = f"{', '.join(sentences)}; {ending}."
     return Headline(analysis.name, farthest <= OFF_PATH and not faults, verdict, cards)
+
+
+def _path_of(track: Track) -> str:
+    """Return the path in words: a bag has its points but not its name, so its length tells it."""
+    if np.isnan(track.path).any():
+        return "several paths"
+    length = float(np.hypot(*np.diff(track.path, axis=0).T).sum())
+    return f"the path of {number(length, 4)} m"
 
 
 def _cost_card(ratio: float, cost: float) -> Card:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from adp_path_follower.analysis.bag_analysis import BagAnalysis
 from adp_path_follower.drawing.charts import KINDS, curve_numbers
 from adp_path_follower.drawing.figure_style import DISTANCE_SCALES, color, is_dashed
-from adp_path_follower.drawing.run_figures import save_figures
+from adp_path_follower.drawing.run_figures import legend_above, save_figures
 
 
 def draw_bags(analyses: Sequence[BagAnalysis], directory: FilePath) -> list[FilePath]:
@@ -50,12 +50,12 @@ def _track(analyses: Sequence[BagAnalysis], figure: Figure) -> None:
             figure.colorbar(dots, label="|cross-track| [mm]", extend="max")
         else:
             axes.plot(*track.position.T, color=color(index), label=_plain(analysis.name))
-    if len(analyses) > 1:
-        axes.legend()
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.set_title("Path and track")
+    if len(analyses) > 1:
+        legend_above(axes, 1)
 
 
 def _over_time(analyses: Sequence[BagAnalysis], key: str, rows: int, figure: Figure) -> None:
@@ -95,7 +95,7 @@ def _over_time(analyses: Sequence[BagAnalysis], key: str, rows: int, figure: Fig
             axes[0].plot([], [], color=color(index), label=_plain(analysis.name))
         handles, labels = axes[0].get_legend_handles_labels()
         count = len(analyses)
-        axes[0].legend(handles[-count:], labels[-count:], fontsize=8)
+        legend_above(axes[0], 1, handles[-count:], labels[-count:])
     axes[-1].set_xlabel("time [s]")
 
 
@@ -116,7 +116,7 @@ def _histogram(analyses: Sequence[BagAnalysis], key: str, figure: Figure) -> Non
     axes.set_ylim(bottom=0.5)  # so that what was there once is seen beside what was always there
     axes.set_ylabel("how often")
     if len(analyses) > 1:
-        axes.legend()
+        legend_above(axes, 1)
 
 
 def _events(analyses: Sequence[BagAnalysis], figure: Figure) -> None:
@@ -129,4 +129,4 @@ def _events(analyses: Sequence[BagAnalysis], figure: Figure) -> None:
     axes.set_ylim(len(KINDS) - 0.5, -0.5)  # the first kind on top
     axes.set_xlabel("time [s]")
     if len(analyses) > 1:
-        axes.legend()
+        legend_above(axes, 1)

@@ -6,7 +6,7 @@ import numpy as np
 
 from adp_path_follower.analysis.identification.recording import Recording
 from adp_path_follower.analysis.identification.response import modelled
-from adp_path_follower.analysis.recorded_run import Drive, Timed, finite, period_of
+from adp_path_follower.analysis.recorded_run import Drive, Timed, period_of
 from adp_path_follower.core.control.error_dynamics import feedforward, path_state
 from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.geometry import FloatArray
@@ -33,7 +33,6 @@ LEARNED = 0.4  # [s] after the first step, for which the second map is
 _DISTANCES = np.linspace(-1.0, 1.0, 41)  # [m]
 _ANGLES = np.radians(np.linspace(-90.0, 90.0, 41))
 _HALTS = {State.WAITING.value, State.STOPPED.value, State.FAULT.value}
-_GAP, _GAP_PERIODS = 0.25, 5.0  # [s] and periods without a command that leave a gap
 _BUCKETS = 1600  # of a line, shared by the bags
 _WEIGHT_BUCKETS = 450  # of one of many
 _GREY_BUCKETS = 100  # of a weight that is only there for the whole
@@ -58,17 +57,14 @@ def charts_of(drive: Drive, bags: int, optimum: FloatArray | None = None) -> Cha
     def line(name: str, timed: Timed, column: int = 0, change: Callable = np.asarray) -> Line:
         return line_of(name, timed.time, change(timed.values[:, column]), buckets)
 
-    def told(name: str, column: int) -> Line:
-        timed, usual = drive.commands, finite(np.diff(drive.commands.time))
-        longest = max(_GAP, _GAP_PERIODS * float(np.median(usual))) if len(usual) else _GAP
-        return line_of(name, timed.time, timed.values[:, column], buckets, longest=longest)
-
     found: dict[str, tuple[Panel, ...]] = {}
     if drive.compared.any():
         found["errors"] = _error_panels(drive, buckets)
     if len(drive.commands.time):
         limits = drive.settings.limits if drive.settings is not None else None
-        found["commands"] = command_panels(told("v", 0), told("ω", 1), limits)
+        found["commands"] = command_panels(
+            line("v", drive.commands), line("ω", drive.commands, 1), limits
+        )
     learner = drive.learner
     if "cost" in learner:
         found["cost"] = (Panel("cost to date", (line("cost", learner["cost"]),)),)

@@ -175,6 +175,14 @@ def _median(values: FloatArray) -> float:
     return float(np.median(known)) if len(known) else math.nan
 
 
+def _texts(item: Outcome) -> list[str]:
+    """Return the columns as the page shows them."""
+    values = _columns(item)
+    numbers = zip(values[3:], [*_COLUMNS.values()][3:], strict=True)
+    ratios = [_ratio(value).strip() for value in values[:3]]
+    return [*ratios, *(_number(value, 0, digits) for value, (*_, digits) in numbers)]
+
+
 def _number(value: float, width: int, digits: int) -> str:
     """Return a number of a table, or a dash."""
     return f"{value:{width}.{digits}f}" if np.isfinite(value) else f"{'–':>{width}}"
@@ -214,8 +222,7 @@ def _write_race(found: Comparison, settings: Settings, file: FilePath) -> None:
     ranked = sorted(found.outcomes, key=_rank)
     rows = []
     for item in ranked:
-        numbers = zip(_columns(item), _COLUMNS.values(), strict=True)
-        cells = ((_number(value, 0, digits), value) for value, (*_, digits) in numbers)
+        cells = zip(_texts(item), _columns(item), strict=True)
         rows.append(((item.name, math.nan), *cells))
     about = (
         f"Every controller drives one lap of {found.path_name} from the paper's start, with the "
@@ -231,8 +238,7 @@ def _write_race(found: Comparison, settings: Settings, file: FilePath) -> None:
 
 def _cards(best: Outcome) -> tuple[Card, ...]:
     """Return what the page of the race shows first: the best controller's numbers."""
-    columns = zip(_COLUMNS, _columns(best), _COLUMNS.values(), strict=True)
-    shown = {name: _number(value, 0, digits) for name, value, (*_, digits) in columns}
+    shown = dict(zip(_COLUMNS, _texts(best), strict=True))
     ranked_by = "J" if np.isnan(best.quantile(0.5)) else "J / J*"
     return (
         ("ahead", best.name, f"the least median of {ranked_by}"),

@@ -158,11 +158,16 @@ def _write_page(
     columns = ("start (s, y, θ)", "J", "settled in [s]", "|e| at the end")
     numbers = zip(result.cost, result.settling_time, ends, strict=False)
     rows = tuple(
-        ((name, np.nan), *((f"{value:.6g}", float(value)) for value in values))
+        (
+            (name, np.nan),
+            *((f"{value:.6g}" if np.isfinite(value) else "–", float(value)) for value in values),
+        )
         for name, values in zip(names, numbers, strict=False)
     )
     about = "The virtual target begins at the same place for every run; θ is in radians."
-    title = f"Simulated runs on {path_name}"
+    if count < len(result.starts):
+        about += f" The first {count} of {len(result.starts)} runs are drawn."
+    title = f"Simulated run{'s' * (count > 1)} on {path_name}"
     table = Table(columns, rows)
     write_runs_page(file, title, about, "adp simulate", settings, _cards(result), runs, table)
     click.echo(file.resolve().as_uri())
@@ -175,14 +180,14 @@ def _cards(result: SimulationResult) -> tuple[Card, ...]:
     costs, ends = result.cost[sound], np.linalg.norm(result.final_error[sound], axis=1)
     median = f"{np.median(costs):.6g}" if len(costs) else "–"
     slowest = f"{settled.max():.2f} s" if len(settled) else "–"
+    several = count > 1
+    of_costs = f", median of {len(costs)} of {count} runs" * several
+    of_times = f", the slowest of {len(settled)} of {count} runs" * several
+    end = f"{ends.max():.2g}" if len(ends) else "–"
     return (
-        ("cost J", median, f"∫ eᵀQe + uᵀRu, median of {len(costs)} of {count} runs"),
-        (
-            "settled after",
-            slowest,
-            f"the slowest of {len(settled)}; |e| below {SETTLED:g} from then",
-        ),
-        ("error at the end", f"{ends.max():.2g}" if len(ends) else "–", "|e|, the largest"),
+        ("cost J", median, f"∫ eᵀQe + uᵀRu{of_costs}"),
+        ("settled after", slowest, f"|e| below {SETTLED:g} from then{of_times}"),
+        ("error at the end", end, "|e|" + ", the largest" * several),
         ("left the path", f"{failed} of {count}", "runs that went too far away from it"),
     )
 

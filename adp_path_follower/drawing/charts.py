@@ -14,6 +14,7 @@ _PATH_POINTS = 4000  # of all paths, shared by the bags
 _LEAST_PATH_POINTS = 12  # of each path, however many there are
 _BINS = 60
 KINDS = ("state", "fault", "warning", "parameter", "path")
+_GAP, _GAP_PERIODS = 0.25, 5.0  # [s] and periods without a value that leave a gap
 _LEAST_DISTANCE = 1e-4  # [m] at which colours end at least: nobody sees less
 _GREATEST = 1e30  # that is drawn; the page has single precision, and the axes need room beyond
 
@@ -146,14 +147,15 @@ def line_of(
     values: FloatArray,
     buckets: int,
     background: bool = False,
-    longest: float = math.inf,
 ) -> Line:
     """Return the curve through values (N,) at times (N,) with about 2 `buckets` points.
 
-    Where no value came for longer than `longest` [s], the curve has a gap.
+    The curve has a gap where for much longer than usual no value came.
     """
-    values = drawable(values)
-    gaps = np.flatnonzero(np.diff(time) > longest)
+    values, periods = drawable(values), np.diff(time)
+    usual = periods[np.isfinite(periods)]
+    longest = max(_GAP, _GAP_PERIODS * float(np.median(usual))) if len(usual) else _GAP
+    gaps = np.flatnonzero(periods > longest)
     kept = np.unique(np.concatenate([extremes(values, buckets), gaps, gaps + 1]))
     behind = np.searchsorted(kept, gaps) + 1
     return Line(
@@ -207,6 +209,13 @@ def track_of(
         poses[moving],
         beside[moving],
     )
+
+
+def rounded_up(value: float) -> float:
+    """Return a positive value rounded up to a number with at most two digits."""
+    power = 10.0 ** math.floor(math.log10(value))
+    least = value / power - 1e-9
+    return power * next(step for step in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 10.0) if step >= least)
 
 
 def drawable(values: FloatArray) -> FloatArray:

@@ -86,7 +86,7 @@ def write_runs_page(
     captions = (
         (
             *("track", "The race" if several else "The drive"),
-            f"{arrows} at the time of the slider below.",
+            f"{arrows} at the time of the slider below, which “follow” keeps in sight.",
         ),
         ("distance", "Distance from the path", "Positive to the left of the path."),
         ("cost", "Cost so far", "∫ eᵀQe + uᵀRu from the start: the lowest curve is the best."),
@@ -97,7 +97,8 @@ def write_runs_page(
         "runs",
         page_data(runs),
         title=title,
-        about=f"{about} {_named(settings)}",
+        about=about,
+        settings=_changed(settings),
         maker=maker,
         headline=cards,
         names=[(run.name, color(index)) for index, run in enumerate(runs)],
@@ -114,12 +115,11 @@ def _library() -> str:
     return _packed(get_plotlyjs())
 
 
-def _named(settings: Settings) -> str:
-    """Return which settings are not the defaults, by name."""
+def _changed(settings: Settings) -> list[str]:
+    """Return name and value of the settings that are not the defaults."""
     usual = flatten(build(Settings, {}))
-    others = {name: value for name, value in flatten(settings).items() if value != usual[name]}
-    named = ", ".join(f"{name} {yaml_text(value)}" for name, value in others.items())
-    return f"Settings: the defaults{' but ' * bool(others)}{named}."
+    values = flatten(settings).items()
+    return [f"{name} {yaml_text(value)}" for name, value in values if value != usual[name]]
 
 
 def _packed(text: str) -> str:

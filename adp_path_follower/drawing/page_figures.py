@@ -17,6 +17,7 @@ from adp_path_follower.drawing.charts import (
     SteeringMap,
     Track,
     curve_numbers,
+    rounded_up,
 )
 from adp_path_follower.drawing.figure_style import (
     COLORS,
@@ -28,6 +29,7 @@ from adp_path_follower.drawing.figure_style import (
 )
 
 _GREY = "rgba(128,128,128,0.45)"
+_LETTERS = 40  # of a name in a legend
 _FEW = 8  # lines that stand out although they are behind the others
 _OPTIMUM = COLORS[1]
 _PANEL_HEIGHT = 190  # [px]
@@ -101,6 +103,11 @@ def _plain(text: str) -> str:
     return html.escape(text, quote=False)
 
 
+def _short(name: str) -> str:
+    """Return the end of a name that is too long for a legend, in Plotly's letters."""
+    return _plain(name if len(name) <= _LETTERS else f"…{name[1 - _LETTERS :]}")
+
+
 def _small(values: np.ndarray) -> np.ndarray:
     """Return numbers in half the bytes; a figure needs no more digits."""
     return np.asarray(values, dtype=np.float32)
@@ -132,7 +139,7 @@ def _track(runs: Sequence[ShownRun]) -> go.Figure:
             mode="lines" if several else "lines+markers",
             marker=marker,
             line={"color": color(index)} if several else {"color": _GREY, "width": 1},
-            name=_plain(run.name),
+            name=_short(run.name),
             hovertemplate="%{customdata[0]:.2f} s: %{customdata[1]:.3f} mm<extra></extra>",
         )
     optimum = runs[0].charts.optimum if len(runs) == 1 else None
@@ -168,14 +175,14 @@ def _with_room(values: FloatArray) -> tuple[float, float]:
 
 def _by_distance(track: Track) -> dict[str, Any]:
     """Return markers coloured by the distance from the path; the page's theme recolours them."""
-    limit = 1e3 * track.color_limit
-    ticks = np.linspace(0.0, limit, 5)
-    texts = [f"{tick:.3g}" for tick in ticks]
+    step = rounded_up(250.0 * track.color_limit)
+    ticks = step * np.arange(5)
+    texts = [f"{tick:g}" for tick in ticks]
     return {
         "color": _small(1e3 * np.abs(track.cross_track)),
         "colorscale": list(DISTANCE_SCALES["light"]),
         "cmin": 0.0,
-        "cmax": limit,
+        "cmax": float(ticks[-1]),
         "showscale": True,
         "colorbar": {
             "title": {"text": "|cross-track| [mm]", "side": "right"},
@@ -268,7 +275,8 @@ def _traces(
     traces = [_background(behind)] if behind else []
     for line in shown:
         number = index if numbers is None else numbers[line.name]
-        name = _plain(run if numbers is None else line.name)
+        group = run if numbers is None else line.name
+        name = _short(group)
         traces.append(
             go.Scatter(
                 x=_small(line.time),
@@ -281,7 +289,7 @@ def _traces(
                     "shape": "hv" if panel.steps else "linear",
                 },
                 name=name,
-                legendgroup=name,
+                legendgroup=_plain(group),
                 showlegend=named,
                 hovertemplate=f"{name if named else _plain(line.name)}: %{{y:.5g}}<extra></extra>",
             )
@@ -340,7 +348,7 @@ def _histogram(key: str, runs: Sequence[ShownRun]) -> go.Figure:
             width=float(found.edges[1] - found.edges[0]),
             marker={"color": color(index), "line": {"color": color(index), "width": 1}},
             opacity=0.7 if len(runs) > 1 else 1.0,
-            name=_plain(run.name),
+            name=_short(run.name),
             hovertemplate="%{x:.3g} ms: %{y} times<extra></extra>",
         )
         figure.update_xaxes(title_text=found.label)
@@ -375,7 +383,7 @@ def _events(runs: Sequence[ShownRun]) -> go.Figure:
                 "color": color(index),
                 "symbol": [_SYMBOLS[event.kind] for event in events],
             },
-            name=_plain(run.name),
+            name=_short(run.name),
             hovertemplate="%{x:.2f} s: %{text}<extra></extra>",
         )
     figure.update_yaxes(  # all kinds, so that figures of several reports can be compared

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.drawing.charts import ReferenceMotion, RunView, Track, extremes
+from adp_path_follower.drawing.charts import ReferenceMotion, RunView, Track, line_of
 from adp_path_follower.drawing.figure_style import COLORS, STYLE
 
 _POINTS = 2000  # of a curve
@@ -36,19 +36,21 @@ def _robot(courses: Sequence[Course], figure: Figure) -> None:
         for time, measured, model in courses:
             drawn = begin + time - time[0]
             begin = float(drawn[-1]) + 1.0
-            for name, values, shade in (("measured", measured, "0.6"), ("model", model, COLORS[0])):
-                kept = extremes(values[:, part], _POINTS)
-                over_time.plot(drawn[kept], values[kept, part], color=shade, label=name)
+            for name, values, style in (
+                ("measured", measured, {"color": "0.6", "linewidth": 4.0}),  # seen beside the model
+                ("model", model, {"color": COLORS[0]}),
+            ):
+                line = line_of(name, drawn, values[:, part], _POINTS)
+                over_time.plot(line.time, line.values, label=name, **style)
             scatter.plot(model[:, part], measured[:, part], ".", color=COLORS[0], markersize=2)
         reach = np.concatenate([model[:, part] for _, _, model in courses])
         ends = [float(reach.min()), float(reach.max())]
         scatter.plot(ends, ends, color="0.4", linewidth=1)
         over_time.set_ylabel(label)
         scatter.set_xlabel(f"model: {label}")
-        scatter.set_ylabel("measured")
+        scatter.set_ylabel(f"measured: {label}")
     names, lines = panels[0, 0].get_legend_handles_labels()
-    above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 2}
-    panels[0, 0].legend(names[:2], lines[:2], **above)
+    legend_above(panels[0, 0], 2, names[:2], lines[:2])
     panels[1, 0].set_xlabel("time [s]")
     figure.tight_layout()
 
@@ -74,7 +76,7 @@ def draw_over_time(
             axes.set_ylabel(label)
         panels[0].set_title(title)
         if panels[0].get_legend_handles_labels()[1]:
-            panels[0].legend()
+            legend_above(panels[0])
         panels[-1].set_xlabel("time [s]")
         if math.isfinite(until):
             end = max((float(time[-1]) for time, *_ in curves), default=until)
@@ -102,7 +104,8 @@ def draw_errors(axes: Axes, time: FloatArray, error: FloatArray) -> None:
     for column, label in enumerate(("s [m]", "y [m]", "θ [rad]")):
         axes.plot(time, error[:, column], color=COLORS[column], label=label)
     axes.set(xlabel="time [s]", ylabel="s, y [m]; θ [rad]")
-    _title_over_legend(axes, "Errors to the virtual target")
+    axes.set_title("Errors to the virtual target")
+    legend_above(axes)
 
 
 def draw_track(axes: Axes, track: Track) -> None:
@@ -111,13 +114,16 @@ def draw_track(axes: Axes, track: Track) -> None:
     axes.plot(*track.position.T, color=COLORS[0], label="robot")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x [m]", ylabel="y [m]")
-    _title_over_legend(axes, "Path and track")
+    axes.set_title("Path and track")
+    legend_above(axes)
 
 
-def _title_over_legend(axes: Axes, title: str) -> None:
-    """Set a title, and below it a legend that no curve can be under."""
-    axes.set_title(title, pad=26.0)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, borderaxespad=0.2)
+def legend_above(axes: Axes, columns: int = 3, *content: Any) -> None:
+    """Put a legend above axes, where it is on no curve, and their title above it."""
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    legend = axes.legend(*content, ncols=columns, **place)
+    rows = -(-len(legend.get_texts()) // columns)
+    axes.set_title(axes.get_title(), pad=10.0 + 16.0 * rows)
 
 
 _EARLY = 15.0  # [s] that the left panels show
@@ -224,7 +230,7 @@ def _against_optimum(
         early.plot([], [], color="0.3", label="offline optimum", **circles)
     early.set_xlim(0.0, min(_EARLY, float(time[-1])))
     early.set(title=title, ylabel=axis)
-    early.legend()
+    legend_above(early, 2)
     whole.set_title("whole run (logarithmic beyond ±0.001)")
     # Later the errors are thousands of times smaller: a scale that shows both.
     whole.set_yscale("symlog", linthresh=1e-3, linscale=0.5)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path as FilePath
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,7 +25,7 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import update
 from adp_path_follower.drawing.charts import ReferenceMotion, RunView
 from adp_path_follower.drawing.figure_style import COLORS
-from adp_path_follower.drawing.run_figures import Drawings, draw_figures, save_figures
+from adp_path_follower.drawing.run_figures import Drawings, draw_figures, legend_above, save_figures
 from adp_path_follower.resources import config_file
 from adp_path_follower.study.optimum.collocation import OptimumSolver
 from adp_path_follower.study.optimum.costate import solve_costates
@@ -232,10 +231,6 @@ def _thinned(optimum: Motion, path: Path) -> ReferenceMotion:
     return ReferenceMotion(optimum.time[kept], error, optimum.modified_input[kept], position)
 
 
-# A legend above its axes, on no curve.
-_ABOVE: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 3}
-
-
 def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...], figure: Figure) -> None:
     lateral, weights = figure.subplots(2, 1, sharex=True)
     for color, run in zip(COLORS, runs, strict=False):
@@ -253,7 +248,7 @@ def _long_run(runs: tuple[PaperRun, ...], labels: tuple[str, ...], figure: Figur
     lateral.set(ylabel="y [m]", ylim=(-0.6, 0.6))
     weights.set(xlabel="time [s]", ylabel="actor weight")
     for axes in (lateral, weights):
-        axes.legend(**_ABOVE | {"ncols": 2})
+        legend_above(axes, 2)
     figure.tight_layout()
 
 
@@ -276,17 +271,16 @@ def _gain_conditions(theorem: Theorem, figure: Figure) -> None:
             axes.text(position, value, f"{value:.3g}", ha="center", va="bottom")
     axes.set(yscale="log", ylabel="value")
     axes.set_xticks(place, names)
-    axes.legend(**_ABOVE)
-    axes.set_title(axes.get_title(), pad=28)
+    legend_above(axes)
 
 
 def _lyapunov(theorem: Theorem, figure: Figure) -> None:
-    axes = _panel(figure, "Lyapunov candidate V_L = V* + ½‖W̃c‖² + ½‖W̃a‖²")
+    axes = _panel(figure, "Lyapunov candidate\nV_L = V* + ½‖W̃c‖² + ½‖W̃a‖²")
     axes.plot(theorem.time, theorem.lyapunov, "-o", color=COLORS[0], label="V_L", markersize=3)
     axes.plot(theorem.time, theorem.value, "-o", color=COLORS[1], label="V* alone", markersize=3)
     axes.plot(theorem.time, theorem.residual, "-o", color=COLORS[2], label="‖ε′‖", markersize=3)
     axes.set(xlabel="time [s]", ylabel="value", yscale="log")
-    axes.legend()
+    legend_above(axes)
 
 
 def _panel(figure: Figure, title: str) -> Axes:

@@ -4,6 +4,7 @@ python bench/site/hooks.py writes docs/metrics.md, which is under version contro
 """
 
 import json
+import re
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -95,8 +96,15 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_post_build(config: Any) -> None:
-    """Write the script that lets the search work where no server is."""
-    assets = FilePath(config.site_dir) / "assets"
+    """Write the script that lets the search work where no server is, and mend 404.html there.
+
+    All pages are in one folder: links from there, not from a server's root, hold for a file, too.
+    """
+    site = FilePath(config.site_dir)
+    lost = (site / "404.html").read_text(encoding="utf-8")
+    lost = re.sub(r'((?:href|src)=|"(?:base|search)": |new URL\()"/', r'\1"./', lost)
+    (site / "404.html").write_text(lost, encoding="utf-8")
+    assets = site / "assets"
     (worker,) = (assets / "javascripts" / "workers").glob("search.*.min.js")
     source = worker.read_text(encoding="utf-8")
     text = _SEARCH_WORKER % json.dumps(source).replace("</", "<\\/")

@@ -28,6 +28,8 @@ from adp_path_follower.drawing.charts import KINDS, SteeringMap
 from adp_path_follower.drawing.page import Table, write_runs_page
 from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import simulate
+from sim_unicycle.fault_script import without_nodes
+from sim_unicycle.settings import SimulatorSettings
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 ARGUMENTS = [
@@ -46,11 +48,13 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory) -> dict[str, FilePath]:
-    """Return reports of one bag, of two, of another controller's, and of one full of tags."""
+    """Return reports of one bag, of two, one with a long name, and of one full of tags."""
     folder = tmp_path_factory.mktemp("pages")
     bags = {
         "mine": learner_run(),
-        "other": drive_on_line(lambda time: 0.1 / (1.0 + time), commands=twist, rate=20),
+        f"other_{'x' * 80}": drive_on_line(
+            lambda time: 0.1 / (1.0 + time), commands=twist, rate=20
+        ),
         ATTACK.replace("/", "\u2215"): [
             *learner_run(hostile=ATTACK),
             (f"/{ATTACK}", 20 * 10**9, text(ATTACK)),
@@ -268,7 +272,7 @@ def test_the_first_screen_says_what_came_out(visits):
     visit = visits("one", "wide", "light")
     text = visit.page.inner_text("header")
     assert "value function of an optimal control problem" in text
-    assert "of the path were driven" in text
+    assert "m of the path of 61 m were driven" in text
     assert visit.page.locator(".cards li").count() == 6
     assert "mm" in visit.page.inner_text(".cards li:nth-child(2) .number")
 
@@ -314,7 +318,7 @@ def test_simulated_runs_start_together_and_their_table_sorts(browser, tmp_path):
     spent = visit.page.evaluate(
         "document.getElementById('figure-cost')._fullData.map((trace) => trace.y.at(-1))"
     )
-    assert spent == pytest.approx(result.cost, rel=0.01)
+    assert spent == pytest.approx(result.cost, rel=1e-5)
     cells = visit.page.locator("#table tbody td")
     for turn in (1, -1):
         visit.page.click("#table th >> text=J")
@@ -323,6 +327,54 @@ def test_simulated_runs_start_together_and_their_table_sorts(browser, tmp_path):
     visit.page.focus("#time")
     visit.page.keyboard.press("ArrowRight")
     assert visit.robot() != before
+
+
+def test_six_runs_have_their_names_and_their_settings_out_of_the_way(browser, tmp_path):
+    """A legend of many lines takes no height from the curves; many settings are folded."""
+    changes = {"actor_gain": 2.0, "target_gain": 0.3, "desired_speed": 0.4, "sample_seed": 1}
+    settings = build(Settings, changes | {"learning": False, "wide_region": "none"})
+    path, starts = named_path("line"), np.array([[0.0, 0.1 * row, 0.0] for row in range(6)])
+    result = simulate(settings, path, starts, duration=1.0, record=True)
+    runs = [
+        shown_run(f"a name as long as this, {run}", path, settings, result.trajectories, run, 6)
+        for run in range(6)
+    ]
+    file = tmp_path / "runs.html"
+    write_runs_page(file, "Six", "About.", "adp", settings, (), runs, Table(("start",), ()))
+    visit = open_page(browser, file, "narrow")
+    shown = "document.getElementById('figure-cost')._fullLayout"
+    assert visit.page.evaluate(f"{shown}.yaxis._length") > 140
+    assert visit.page.locator("#figure-cost .legend .scrollbar").get_attribute("height") == "0"
+    assert visit.page.locator("#figure-cost .legendtext").count() == 6
+    assert not visit.page.is_visible("details p:has-text('sample_seed 1')")
+    visit.page.click("text=the defaults but 6")
+    assert visit.page.is_visible("details p:has-text('sample_seed 1')")
+
+
+def test_the_cost_so_far_is_that_of_a_pushed_robot(tmp_path):
+    """J is of the true motion: a push is no part of what the controller commanded."""
+    settings, path = build(Settings, {"learning": False}), named_path("line")
+    plant, faults = without_nodes(build(SimulatorSettings, {"fault_script": "push"}))
+    result = simulate(settings, path, duration=7.0, plant=plant, faults=faults, record=True)
+    run = shown_run("pushed", path, settings, result.trajectories)
+    assert run.charts.panels["cost"][0].lines[0].values[-1] == result.cost[0]
+
+
+def test_the_map_follows_the_robots(pages, browser):
+    visit = open_page(browser, pages["two"])
+    axes = "document.getElementById('figure-track')._fullLayout"
+    ends = f"[...{axes}.xaxis.range, ...{axes}.yaxis.range]"
+    whole = visit.page.evaluate(ends)
+    visit.page.check("#follow")
+    for time in (2, 6):
+        visit.page.evaluate(f"document.getElementById('time').value = {time}")
+        visit.page.dispatch_event("#time", "input")
+        left, right, low, high = visit.page.evaluate(ends)
+        assert right - left < 0.7 * (whole[1] - whole[0])
+        assert left < 0.5 * time < right  # [m], at 0.5 m/s along the x axis
+        assert low < 0.0 < high
+    visit.page.uncheck("#follow")
+    assert visit.page.evaluate(ends) == pytest.approx(whole)
 
 
 def test_strings_of_a_bag_do_nothing(pages, browser):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from adp_path_follower.analysis import events
-from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
+from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag, number
 from adp_path_follower.analysis.metrics import approach
 from adp_path_follower.analysis.motion import motion_of
 from adp_path_follower.core.path.curve import Path
@@ -283,6 +283,23 @@ def test_every_path_is_drawn_with_its_corners_and_its_gaps(tmp_path):
     assert np.hypot(*pieces[41].T) == pytest.approx(np.full(len(pieces[41]), 2.0), abs=1e-3)
     assert len(pieces[41]) >= 12
     assert len(found) < 5000
+
+
+def test_curves_have_a_gap_where_odometry_and_commands_had_one(tmp_path):
+    """Two seconds are missing: a straight line over them would be a drive that nobody saw."""
+    kept = [
+        (topic, stamp, *message)
+        for topic, stamp, *message in drive_on_line(lambda time: 0.1 * time)
+        if not 8 * SECOND <= stamp < 10 * SECOND
+    ]
+    panels = analysed(tmp_path, kept).charts.panels
+    for line in [panel.lines[0] for key in ("errors", "commands") for panel in panels[key]]:
+        (gap,) = np.flatnonzero(np.isnan(line.values))
+        assert line.time[gap + 1] - line.time[gap - 1] > 1.9
+
+
+def test_a_number_has_no_exponent_where_people_write_none():
+    assert [number(value, 3) for value in (1408.6, 0.0546, 12.0)] == ["1409", "0.0546", "12"]
 
 
 def test_a_bag_of_another_controller_gets_the_tracking_figures(tmp_path):

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from folders import ROOT
 
@@ -84,9 +85,26 @@ def test_the_drift_is_bounded_at_every_visited_state(found):
     assert found.theorem.drift_bound >= at_the_start * (1.0 - 1e-9)
 
 
+def keeping(save, kept):
+    """Return a function that saves figures, and keeps them."""
+
+    def kept_and_saved(figure, *arguments, **options):
+        kept.append(figure)
+        save(figure, *arguments, **options)
+
+    return kept_and_saved
+
+
 @pytest.mark.smoke
-def test_figures(found, tmp_path):
+def test_figures(found, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", keeping(Figure.savefig, drawn))
     files = draw_paper(found, tmp_path)
+    for figure in drawn:
+        figure.draw_without_rendering()
+        legends = [(axes, axes.get_legend()) for axes in figure.axes if axes.get_legend()]
+        for axes, legend in legends:  # on no curve, whatever was drawn
+            assert not legend.get_window_extent().overlaps(axes.bbox), axes.get_title()
     assert {file.name for file in files} >= {"figure_2_path.png", "lyapunov.png", "long_run.png"}
     assert all(file.stat().st_size > 10_000 for file in files)
     assert found.path.length == pytest.approx(named_path("lissajous").length)

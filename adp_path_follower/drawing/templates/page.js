@@ -66,9 +66,12 @@
       targetX: mix(motion.target_x), targetY: mix(motion.target_y),
     };
   };
-  const robots = (figure) => {
+  // What a pixel of the map is wide [m].
+  const pixelOf = (figure) => {
     const axis = figure.element._fullLayout?.xaxis;
-    const pixel = axis ? Math.abs(axis.range[1] - axis.range[0]) / axis._length : 0.05;
+    return axis ? Math.abs(axis.range[1] - axis.range[0]) / axis._length : 0.05;
+  };
+  const robots = (figure, pixel = pixelOf(figure)) => {
     const size = 20 * pixel;  // the same on the screen at any zoom and width
     // The first is drawn last, above the others.
     return motions.filter((motion) => motion.time.length > 1).reverse().flatMap((motion) => {
@@ -140,6 +143,7 @@
   const paintSwatches = () => swatches.forEach(([element, color]) => { element.style.background = shown(color); });
 
   const beside = ({ element }) => wide.matches && element.closest(".first")?.children.length > 2;
+  const ONE_LINE = 30;  // [px] of a legend
   const heightOf = (figure) => {
     if (beside(figure)) return 400;
     return figure.key === "track" && narrow.matches ? 420 : figure.layout.height;
@@ -152,7 +156,7 @@
     layout.height = heightOf(figure);
     layout.font = { family: "system-ui, sans-serif", size: small ? 11 : 13 };
     layout.margin = small || beside(figure) ? { l: 64, r: 8, t: 12, b: 48 } : { l: 92, r: 16, t: 12, b: 52 };
-    layout.legend = { orientation: "h", yanchor: "bottom", y: 1.01, x: 0 };
+    layout.legend = { orientation: "h", yanchor: "bottom", y: 1.01, x: 0, tracegroupgap: 0, maxheight: 5000 };
     layout.dragmode = small ? false : "zoom";  // a finger scrolls the page
     layout.hoverlabel = { namelength: 40 };
     if (figure.over_time && figure.key !== "events") {
@@ -179,6 +183,9 @@
       displayModeBar: narrow.matches ? false : "hover",
     });
     figure.drawn = true;
+    // A legend takes no height from the curves, however many lines it has.
+    const { _height: legend } = figure.element._fullLayout.legend || {};
+    if (legend > ONE_LINE) await Plotly.relayout(figure.element, { height: heightOf(figure) + legend - ONE_LINE });
     if (figure.over_time && span) await zoom(figure);
     else if (figure.key === "track") update(figure);  // the robot's size, as the scale is known now
     figure.element.on("plotly_click", (event) => {
@@ -188,7 +195,7 @@
     });
     figure.element.on("plotly_relayout", (change) => {
       if (figure.over_time) zoomAll(change);
-      else if (figure.key === "track" && Object.keys(change).some((name) => name.startsWith("xaxis"))) update(figure);
+      else if (figure.key === "track" && !follow?.checked && Object.keys(change).some((name) => name.startsWith("xaxis"))) update(figure);
     });
   };
 
@@ -244,13 +251,32 @@
   };
 
   // --- time -------------------------------------------------------------------------------------
+  const NEAR = 2;  // [m] that the map shows at least
+  const follow = document.getElementById("follow");
   const slider = document.getElementById("time");
   const play = document.getElementById("play");
   const speed = document.getElementById("speed");
   const now = document.getElementById("now");
   const update = (figure) => {
     figure.stale = !(figure.visible && figure.drawn);
-    if (!figure.stale) Plotly.relayout(figure.element, { shapes: shapes(figure) });
+    if (figure.stale) return;
+    if (figure.key === "track" && follow.checked) followRobots(figure);
+    else Plotly.relayout(figure.element, { shapes: shapes(figure) });
+  };
+  // The part of the map around all robots.
+  const followRobots = (figure) => {
+    const places = motions.map((motion) => place(motion, time)).filter(({ x, y }) => Number.isFinite(x + y));
+    if (!places.length) return;
+    const { xaxis, yaxis } = figure.element._fullLayout;
+    const extent = (values) => [0.5 * (Math.min(...values) + Math.max(...values)), Math.max(...values) - Math.min(...values)];
+    const [x, across] = extent(places.map((found) => found.x));
+    const [y, along] = extent(places.map((found) => found.y));
+    const pixel = Math.max((NEAR + 1.3 * across) / xaxis._length, (NEAR + 1.3 * along) / yaxis._length);
+    const range = (middle, axis) => [middle - 0.5 * pixel * axis._length, middle + 0.5 * pixel * axis._length];
+    const fixed = figure.layout.shapes || [];
+    Plotly.relayout(figure.element, {
+      "xaxis.range": range(x, xaxis), "yaxis.range": range(y, yaxis), shapes: [...fixed, ...robots(figure, pixel)],
+    });
   };
   const move = (to) => {
     time = Math.min(last, Math.max(first, to));
@@ -294,7 +320,7 @@
   const STEPS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 };
   const onKey = (event) => {
     const onSlider = event.target === slider;
-    const elsewhere = event.target.closest("select, button, summary, a, .scroll");
+    const elsewhere = event.target.closest("select, button, summary, a, .scroll, [type=checkbox]");
     if (event.altKey || event.ctrlKey || event.metaKey || (elsewhere && !onSlider)) return;
     if (event.key === " ") toggle();
     else if (onSlider && event.key.startsWith("Page")) {
@@ -309,6 +335,12 @@
     slider.min = first;
     slider.max = last;
     slider.addEventListener("input", () => move(Number(slider.value)));
+    follow.addEventListener("change", () => {
+      const figure = figures.find((item) => item.key === "track");
+      const { xaxis, yaxis } = figure.layout;
+      if (follow.checked) update(figure);
+      else Plotly.relayout(figure.element, { "xaxis.range": [...xaxis.range], "yaxis.range": [...yaxis.range] });
+    });
     document.addEventListener("keydown", onKey);
   };
 

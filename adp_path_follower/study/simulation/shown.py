@@ -1,9 +1,5 @@
 """Simulated runs as a page shows them."""
 
-import numpy as np
-from scipy.integrate import cumulative_trapezoid
-
-from adp_path_follower.core.control.cost import RunningCost
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.drive import project
@@ -30,8 +26,6 @@ def shown_run(
 ) -> ShownRun:
     """Return a run of simulated ones as a page shows it, `among` so many."""
     time, pose, beside = found.time, found.pose[run], project(path, found.pose[run])
-    running = RunningCost(settings.cost)(found.error[run], found.modified_input[run])
-    spent = cumulative_trapezoid(np.nan_to_num(running), time, initial=0.0)
     buckets = max(150, _BUCKETS // among)
 
     def line(label: str, values: FloatArray) -> Line:
@@ -40,7 +34,7 @@ def shown_run(
     linear, angular = line("v", found.command[run, :, 0]), line("ω", found.command[run, :, 1])
     panels = {
         "distance": (Panel("cross-track [mm]", (line("cross-track", 1e3 * beside.cross_track),)),),
-        "cost": (Panel("J so far", (line("J", spent),)),),
+        "cost": (Panel("J so far", (line("J", found.cost[run]),)),),
         "commands": command_panels(linear, angular, settings.limits),
     }
     track = track_of(

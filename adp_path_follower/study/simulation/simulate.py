@@ -192,11 +192,11 @@ def simulate(
             target = VirtualTarget(path, settings.target, places, reference)
             chosen = _Modelled(model_settings, follower, target)
 
-        def note(step: int, output: ControlOutput, pose: FloatArray) -> None:
+        def note(step: int, output: ControlOutput, pose: FloatArray, cost: FloatArray) -> None:
             if (recorder or observe) and pose.ndim == 1:
                 output, pose = batch_of_one(output), pose[None]
             if recorder is not None:
-                recorder.note(first, step, output, pose)
+                recorder.note(first, step, output, pose, np.atleast_1d(cost))
             if observe is not None:
                 observe(slice(first, first + count), step * period, pose, output)
 
@@ -307,10 +307,10 @@ class _ClosedLoop:
         self,
         steps: int,
         period: float,
-        note: Callable[[int, ControlOutput, FloatArray], None],
+        note: Callable[[int, ControlOutput, FloatArray, FloatArray], None],
         report: Callable[[float], None],
     ) -> SimulationResult:
-        """Return the outcome after control periods; `note` gets number, output and poses."""
+        """Return the outcome after control periods; `note` gets number, output, poses, J."""
         batch = self._starts.shape[:-1]
         last_outside = np.full(batch, -1)
         max_inputs = np.zeros((*batch, 2))
@@ -329,7 +329,7 @@ class _ClosedLoop:
             command = self._checked_command(output, distance)
             error = tracking_error(self._robot.pose, output.target_pose)
             last_outside[~criteria.is_settled(error)] = step
-            note(step, output, self._robot.pose)
+            note(step, output, self._robot.pose, cost)
             if step % max(1, round(_REPORT_PERIOD / period)) == 0:
                 report(step / (steps + 1))
                 if isinstance(output, FollowerOutput):

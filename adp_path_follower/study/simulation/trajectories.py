@@ -22,6 +22,7 @@ class Trajectories:
     arc_length: FloatArray  # s_p [m], shape (B, T)
     command: FloatArray  # [v, w], shape (B, T, 2)
     modified_input: FloatArray  # u = [v_e, w_e], shape (B, T, 2)
+    cost: FloatArray  # J until then, along the true motion, shape (B, T)
     critic_weights: FloatArray  # Wc, shape (B, T, L); L = 0 without, or where none were wanted
     actor_weights: FloatArray  # Wa, shape (B, T, L)
     bellman_error: FloatArray  # delta at the state, shape (B, T); NaN for controllers without
@@ -36,8 +37,10 @@ class TrajectoryRecorder:
         self._columns = slice(None if weights else 0)  # of the weights
         self._arrays: dict[str, FloatArray] = {}
 
-    def note(self, first_run: int, step: int, output: ControlOutput, pose: FloatArray) -> None:
-        """Record a step of the n runs from a first one on, which are at true poses (n, 3)."""
+    def note(
+        self, first_run: int, step: int, output: ControlOutput, pose: FloatArray, cost: FloatArray
+    ) -> None:
+        """Record a step of n runs from a first one on: true poses (n, 3) and J until then (n,)."""
         weights, unknown = weights_of(output), np.full(len(pose), math.nan)
         values = {
             "pose": pose,
@@ -45,6 +48,7 @@ class TrajectoryRecorder:
             "arc_length": output.arc_length,
             "command": output.command,
             "modified_input": output.modified_input,
+            "cost": cost,
             "critic_weights": weights.critic[:, self._columns],
             "actor_weights": weights.actor[:, self._columns],
             "bellman_error": getattr(output, "bellman_error", unknown),

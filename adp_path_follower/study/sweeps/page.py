@@ -48,16 +48,16 @@ def write_sweep_page(found: Results, title: str, file: FilePath) -> None:
 
 
 def _row(found: Results, trial: FrozenTrial) -> list[str]:
-    scores = score_of(trial).objectives
-    numbers = [f"{scores[name]:.5g}" for name in found.request.objectives]
+    scores = [score_of(trial).objectives[name] for name in found.request.objectives]
+    numbers = [f"{score:.5g}" if score < UNSTABLE_SCORE else "–" for score in scores]
     return [*map(shown, found.values(trial).values()), *numbers]
 
 
 def sweep_figures(found: Results) -> dict[str, tuple[str, str, dict[str, Any]]]:
     """Return key -> title, caption and figure (data and layout), in the order of the page."""
     figures: dict[str, tuple[str, str, go.Figure]] = {}
-    if len(found.request.objectives) > 1 and found.stable:
-        first, second = found.request.objectives[:2]
+    first, second = (*found.request.objectives, "")[:2]
+    if second and np.isfinite(_objective(found.stable, second)).any():
         figures["pareto"] = (
             "Pareto front",
             f"Each point is a combination of settings that is stable in all its runs: {first} "
@@ -69,14 +69,14 @@ def sweep_figures(found: Results) -> dict[str, tuple[str, str, dict[str, Any]]]:
     axes = [_Axis(item, found) for item in found.importance]
     if len(axes) == 1:
         title, caption = f"{name} over {axes[0].name}", f"{caption}: the median at each value."
-        figures["map_1"] = (title, caption, _curve(name, values, axes[0]))
+        figures["map_1"] = (title, caption, _curve(_title(found, name), values, axes[0]))
     pairs = sorted(itertools.combinations(range(len(axes)), 2), key=sum)[:_MOST_MAPS]
     for number, (across, up) in enumerate(pairs, start=1):
         figures[f"map_{number}"] = (
             f"{name} over {axes[across].name} and {axes[up].name}",
             f"{caption}: the median over everything else that varies. × marks fields in which no "
             "combination is stable; point at one to read the number of combinations.",
-            _heat_map(name, values, axes[across], axes[up]),
+            _heat_map(_title(found, name), values, axes[across], axes[up]),
         )
     return {
         key: (title, caption, figure.to_dict()) for key, (title, caption, figure) in figures.items()
@@ -124,7 +124,7 @@ class _Axis:
         self.labels = [f"{low:.3g} to {high:.3g}" for low, high in itertools.pairwise(edges)]
 
 
-def _heat_map(name: str, score: FloatArray, first: _Axis, second: _Axis) -> go.Figure:
+def _heat_map(title: str, score: FloatArray, first: _Axis, second: _Axis) -> go.Figure:
     """Return a map of the median score over everything else that varies."""
     median = np.full((len(second.labels), len(first.labels)), math.nan)
     text = np.full(median.shape, "", dtype=object)
@@ -145,7 +145,7 @@ def _heat_map(name: str, score: FloatArray, first: _Axis, second: _Axis) -> go.F
             customdata=text,
             colorscale="Viridis",
             reversescale=True,
-            colorbar={"title": {"text": _title(name), "side": "top"}},
+            colorbar={"title": {"text": title, "side": "top"}},
             hoverongaps=False,
             hovertemplate="%{x}, %{y}: %{z:.5g}, median %{customdata}<extra></extra>",
         )
@@ -165,7 +165,7 @@ def _heat_map(name: str, score: FloatArray, first: _Axis, second: _Axis) -> go.F
     return figure
 
 
-def _curve(name: str, score: FloatArray, axis: _Axis) -> go.Figure:
+def _curve(title: str, score: FloatArray, axis: _Axis) -> go.Figure:
     """Return a curve of the median score over the only variation."""
     groups = [score[(axis.bins == place) & np.isfinite(score)] for place in range(len(axis.labels))]
     medians = np.array([np.median(some) if len(some) else math.nan for some in groups])
@@ -178,7 +178,7 @@ def _curve(name: str, score: FloatArray, axis: _Axis) -> go.Figure:
         hovertemplate="%{x}: %{y:.5g}<extra></extra>",
     )
     figure.update_xaxes(title_text=axis.name, type="category", automargin=True)
-    figure.update_yaxes(title_text=_title(name))
+    figure.update_yaxes(title_text=title)
     figure.update_layout(height=_HEIGHT, showlegend=False)
     return figure
 
@@ -203,8 +203,8 @@ def _pareto(found: Results) -> go.Figure:
             text=[_described(found, trial) for trial in trials],
             hovertemplate="%{text}<br>%{x:.5g}, %{y:.5g}<extra></extra>",
         )
-    figure.update_xaxes(title_text=_title(names[0]))
-    figure.update_yaxes(title_text=_title(names[1]))
+    figure.update_xaxes(title_text=_title(found, names[0]))
+    figure.update_yaxes(title_text=_title(found, names[1]))
     figure.update_layout(height=_HEIGHT, showlegend=True)
     return figure
 
@@ -215,6 +215,11 @@ def _described(found: Results, trial: FrozenTrial) -> str:
     return html.escape(text, quote=False)  # Plotly would interpret tags
 
 
-def _title(name: str) -> str:
-    unit = OBJECTIVES[name].unit if name in OBJECTIVES else ""
+def _title(found: Results, name: str) -> str:
+    """Return the name of an axis, with its unit or which cost it is."""
+    if name not in OBJECTIVES:
+        return name
+    if OBJECTIVES[name].column == "cost":
+        return f"{name}, {'J/J*' if found.relative else 'J'}"
+    unit = OBJECTIVES[name].unit
     return f"{name} [{unit}]" if unit else name

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import warnings
@@ -250,6 +251,21 @@ def test_a_start_that_is_none_does_not_keep_the_others_from_running(tmp_path):
     assert lqr["failed"] == [False, False]
     assert 1.0 < lqr["cost_ratio_max"] < 1.1
     assert lqr["cost_ratio_max"] * found["optimal_cost"][1] == pytest.approx(lqr["cost"][1])
+
+
+def test_a_start_that_costs_nothing_is_told_as_far_beyond_the_optimum(tmp_path):
+    """From the path itself J* is zero but for rounding, and J/J* has twenty digits."""
+    pytest.importorskip("plotly", reason="the page needs the extra 'report'")
+    on_path, beside = ("--start", "0", "0", "0"), ("--start", "0", "0.2", "0")
+    done = adp(
+        *("compare", "--unlimited", *on_path, *beside, "--controllers", "stanley"),
+        *("--duration", "5", "--path", "circle:0.5", "--out", "out"),
+        cwd=tmp_path,
+    )
+    assert ">100" in done.stdout
+    page = (tmp_path / "out" / "race.html").read_text(encoding="utf-8")
+    assert re.findall(r'class="value" data-value="([^"]*)">&gt;100<', page)
+    assert "&gt;100 at most" in page
 
 
 def test_what_there_is_to_say_about_the_optimum_is_below_the_table(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -126,6 +127,18 @@ def test_heat_maps_show_what_matters_first(sweep):
         figure for figure in figures if figure["layout"]["yaxis"]["title"]["text"] == "actor_gain"
     ]
     assert {label for figure in maps for label in figure["data"][1]["y"]} == {"100"}
+
+
+def test_a_run_that_never_settles_has_a_dash(sweep, tmp_path):
+    """As nothing settles, there is no front to draw either."""
+    conditions = replace(sweep, objectives=("cost", "settling_time"))
+    runs = [run | {"settling_time": np.full(4, np.inf)} for run in runs_of(sweep, ())]
+    found = results(sweep_study(conditions, map(score_of_runs, runs)), conditions)
+    assert next(title for title, *_ in sweep_figures(found).values()) != "Pareto front"
+    write_sweep_page(found, "x", tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count('<td class="value">–</td>') == 25
+    assert "e+09" not in page
 
 
 def test_where_nothing_is_stable_the_maps_show_how_much_is_not(sweep):
