@@ -1,9 +1,11 @@
 """`adp compare`: the controller beside its peers."""
 
+from __future__ import annotations
+
 import math
 import sys
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -17,12 +19,11 @@ from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.robot import ROBOT_MODELS
 from adp_path_follower.drawing.page import Card, Table, write_runs_page
 from adp_path_follower.extras import is_installed
-from adp_path_follower.study.comparison.compare import Comparison, Outcome
-from adp_path_follower.study.comparison.compare import compare as run_comparison
-from adp_path_follower.study.comparison.controllers import PEERS, known_controllers
-from adp_path_follower.study.simulation.simulate import read_starts
 from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import SimulatorSettings
+
+if TYPE_CHECKING:  # with its solvers, for which `--help` need not wait
+    from adp_path_follower.study.comparison.compare import Comparison, Outcome
 
 # Column -> width and digits in the text, and digits in the race's table.
 _COLUMNS = {"J/J*, median": (9, 4, 4), "95 %": (9, 4, 4), "max": (9, 4, 4), "failed": (8, 0, 0)}
@@ -85,6 +86,10 @@ def compare(
 
     Exit code 1 if some start has no known optimum; it is named, and counts in all but J/J*.
     """
+    from adp_path_follower.study.comparison.compare import compare as run_comparison
+    from adp_path_follower.study.comparison.controllers import PEERS, known_controllers
+    from adp_path_follower.study.simulation.simulate import read_starts
+
     if list_them:
         for name, description in known_controllers().items():
             click.echo(f"{name:30} {description}")

@@ -1,28 +1,29 @@
 """`adp optimum`: the offline optimum."""
 
+from __future__ import annotations
+
 import sys
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
 from adp_path_follower.cli import options, outputs
-from adp_path_follower.core.control.far_from_path import missing_values, without_values
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
-from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.resources import config_file
-from adp_path_follower.study.optimum.collocation import Optimum, OptimumSolver
-from adp_path_follower.study.optimum.costate import solve_costates
-from adp_path_follower.study.optimum.problem import Motion, OptimumError, motions_of
-from adp_path_follower.study.simulation.simulate import simulate
 from sim_unicycle.fault_script import without_nodes
 from sim_unicycle.settings import SimulatorSettings
+
+if TYPE_CHECKING:  # with its solvers, for which `--help` need not wait
+    from adp_path_follower.core.path.curve import Path
+    from adp_path_follower.study.optimum.collocation import Optimum
+    from adp_path_follower.study.optimum.problem import Motion
 
 _DRAWN = ("s [m]", "y [m]", "θ [rad]", "v_e [m/s]", "ω_e [rad/s]")
 _AGREEMENT = 1e-5  # relative difference between collocation and costates
@@ -87,6 +88,10 @@ def optimum(
     Exit code 1 if a start has no converged optimum, J* changes with the horizon by more than 1e-4
     of itself, or --check differs by more than 1e-5; it is named, the others are still written.
     """
+    from adp_path_follower.study.optimum.collocation import OptimumSolver
+    from adp_path_follower.study.optimum.costate import solve_costates
+    from adp_path_follower.study.optimum.problem import OptimumError
+
     settings = load_settings(
         Settings, "path_follower", params or config_file("paper.yaml"), assignments
     )
@@ -125,6 +130,10 @@ def _ways(
     settings: Settings, path: Path, errors: FloatArray, start_arc_length: float, horizon: float
 ) -> list[list[Motion]]:
     """Return the controller's own motion from each start (B, 3), as a guess for the optimum."""
+    from adp_path_follower.core.control.far_from_path import missing_values, without_values
+    from adp_path_follower.study.optimum.problem import motions_of
+    from adp_path_follower.study.simulation.simulate import simulate
+
     known = np.asarray(np.isfinite(errors).all(axis=1))
     if not known.any():
         return [[] for _ in errors]

@@ -247,10 +247,10 @@ def test_an_optimum_of_a_short_horizon_is_called_so(tmp_path):
 
 
 def test_a_check_that_disagrees_is_said(monkeypatch):
-    from adp_path_follower.cli import optimum as command
+    from adp_path_follower.study.optimum import costate
 
     extremal = Extremal(0.5418868 * (1.0 + 2e-5), np.zeros(4))
-    monkeypatch.setattr(command, "solve_costates", lambda problem, motion: extremal)
+    monkeypatch.setattr(costate, "solve_costates", lambda problem, motion: extremal)
     done = adp("optimum", "--check")
     assert done.returncode == 1
     assert "is 0.5418868 by collocation, but 0.5418976 by costates" in done.stderr
