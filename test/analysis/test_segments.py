@@ -13,7 +13,7 @@ from adp_path_follower.core.path.preparation import prepare
 from adp_path_follower.core.settings.groups import PathSettings
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     costs=st.integers(1, 3).flatmap(
         lambda columns: st.lists(

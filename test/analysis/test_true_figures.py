@@ -196,7 +196,7 @@ def check_figures(found, truth, noise):
     assert found["cross_track_rms"] == pytest.approx(rms, rel=0.01, abs=0.001)
 
 
-@settings(max_examples=EXAMPLES, deadline=None)
+@settings(max_examples=EXAMPLES)
 @given(
     route=st.sampled_from(sorted(ROUTES)),
     speed=st.floats(0.2, 0.6),
@@ -216,7 +216,7 @@ def test_figures_are_those_of_the_simulation(route, speed, rate, swing, noise, b
     )
 
 
-@settings(max_examples=EXAMPLES, deadline=None)
+@settings(max_examples=EXAMPLES)
 @given(
     route=st.sampled_from(sorted(REVERSALS)),
     speed=st.floats(0.2, 0.6),
@@ -237,7 +237,7 @@ def test_figures_of_a_robot_that_reverses(route, speed, rate, swing, noise, orie
     assert found["heading_max"] < 0.2
 
 
-@settings(max_examples=max(2, EXAMPLES // 3), deadline=None)
+@settings(max_examples=max(2, EXAMPLES // 3))
 @given(rate=st.sampled_from([10.0, 50.0]), jump=st.sampled_from([0.3, 1.5]), seed=st.integers(0, 9))
 def test_jumps_of_the_odometry_are_no_way(rate, jump, seed):
     truth = simulated(ROUTES["line"], 0.5, rate, 0.0, False)

@@ -342,8 +342,8 @@ def test_a_run_that_leaves_the_path_is_exit_code_1_unless_that_is_allowed(tmp_pa
     allowed = adp(*far, "--allow-failures", "--report", "page.html", cwd=tmp_path)
     assert allowed.returncode == 0, allowed.stderr
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    costs = '<span class="number">–</span><span class="detail">∫ eᵀQe + uᵀRu, median of 0 of 1 runs'
-    assert costs in page
+    for card in ('–</span><span class="detail">∫ eᵀQe + uᵀRu<', "1 of 1</span>"):
+        assert f'<span class="number">{card}' in page
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_labels_name_the_terms_in_order(name):
     assert list(make_basis(name, 2, "serret_frenet").labels) == LABELS[name]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(name=names, zeta=states)
 def test_values_are_the_explicit_terms_in_order(name, zeta):
     np.testing.assert_allclose(
@@ -50,7 +50,7 @@ def test_values_are_the_explicit_terms_in_order(name, zeta):
     )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(name=names, zeta=states)
 def test_gradients_are_central_differences_of_the_explicit_terms(name, zeta):
     gradient = make_basis(name, 2, "serret_frenet").gradient(zeta)
@@ -62,7 +62,7 @@ def test_gradients_are_central_differences_of_the_explicit_terms(name, zeta):
         np.testing.assert_allclose(gradient[:, axis], (ahead - behind) / (2.0 * h), atol=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(name=names, zeta=npst.arrays(float, (2, 3, 4), elements=st.floats(-10.0, 10.0)))
 def test_a_batch_of_states_is_as_single_ones(name, zeta):
     basis = make_basis(name, 2, "serret_frenet")
@@ -74,7 +74,7 @@ def test_a_batch_of_states_is_as_single_ones(name, zeta):
         np.testing.assert_allclose(gradients[index], basis.gradient(zeta[index]), atol=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(zeta=states)
 def test_any_powers_make_a_basis(zeta):
     basis = MonomialBasis([(0, 0, 0, 2), (1, 0, 1, 0), (0, 0, 0, 1), (0, 1, 0, 0)])
@@ -119,7 +119,7 @@ def value_of_label(label, values):
     return math.prod(value ** power_of(label, letter) for letter, value in values.items())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(degree=degrees, frame=frames, zeta=near_states)
 def test_labels_say_what_the_terms_of_a_polynomial_are(degree, frame, zeta):
     basis = make_basis("polynomial", degree, frame)
@@ -132,7 +132,7 @@ def test_labels_say_what_the_terms_of_a_polynomial_are(degree, frame, zeta):
     np.testing.assert_allclose(basis.value(zeta), expected, rtol=1e-11, atol=1e-11)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(degree=degrees, frame=frames, zeta=near_states)
 def test_polynomials_and_their_gradients_are_the_explicit_ones(explicit, degree, frame, zeta):
     basis, reference = make_basis("polynomial", degree, frame), explicit(degree, frame)
@@ -144,7 +144,7 @@ def test_polynomials_and_their_gradients_are_the_explicit_ones(explicit, degree,
     assert (gradient[:, 3] == 0.0).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(degree=degrees, frame=frames, name=st.sampled_from(BASES), zeta=near_states)
 def test_gradients_are_central_differences_of_the_values(degree, frame, name, zeta):
     basis = make_basis(name, degree, frame)
@@ -156,7 +156,7 @@ def test_gradients_are_central_differences_of_the_values(degree, frame, name, ze
         np.testing.assert_allclose(gradient[:, axis], found, rtol=1e-6, atol=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     degree=degrees,
     frame=frames,
@@ -176,7 +176,7 @@ def test_a_batch_of_states_is_as_single_ones_in_every_frame(degree, frame, name,
 # --- the half-angle frame -----------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(name=st.sampled_from(BASES), degree=degrees, zeta=near_states)
 def test_half_angle_values_are_those_of_the_basis_at_turned_positions(name, degree, zeta):
     inner = make_basis(name, degree, "serret_frenet")
@@ -188,7 +188,7 @@ def test_half_angle_values_are_those_of_the_basis_at_turned_positions(name, degr
     assert basis.depends_on_path_state is inner.depends_on_path_state
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(degree=degrees, zeta=near_states)
 def test_half_angle_values_have_the_mirror_symmetry_of_the_problem(degree, zeta):
     basis = make_basis("polynomial", degree, "half_angle")
@@ -209,7 +209,7 @@ def test_bases_say_whether_they_know_the_path_state(frame):
 # --- weights of a quadratic form ----------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     name=st.sampled_from(["paper", "polynomial"]), degree=degrees, matrix=matrices, zeta=near_states
 )
@@ -220,7 +220,7 @@ def test_quadratic_weights_give_the_quadratic_form(name, degree, matrix, zeta):
     assert found == pytest.approx(error @ matrix @ error, rel=1e-12, abs=1e-10)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     name=st.sampled_from(["paper", "polynomial"]), degree=degrees, matrix=matrices, zeta=near_states
 )
@@ -234,7 +234,7 @@ def test_in_the_half_angle_frame_they_give_it_to_second_order(name, degree, matr
         assert abs(basis.value(small) @ weights - form) <= 500.0 * scale**3 + 1e-18
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(frame=frames, several=npst.arrays(float, (2, 5, 3, 3), elements=st.floats(-5.0, 5.0)))
 def test_quadratic_weights_of_a_batch_are_those_of_single_ones(frame, several):
     for name in ("paper", "polynomial"):
@@ -245,7 +245,7 @@ def test_quadratic_weights_of_a_batch_are_those_of_single_ones(frame, several):
             assert together[index].tolist() == single.tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     degree=degrees,
     frame=frames,

@@ -35,7 +35,7 @@ yaml_parts = st.sampled_from(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     content=st.one_of(
         st.binary(max_size=60),
@@ -47,7 +47,7 @@ def test_any_csv_file_gives_a_path_or_an_error_with_its_name(folder, content):
     any_content(folder / "any.csv", content)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     content=st.one_of(
         st.binary(max_size=60),
@@ -72,7 +72,7 @@ def any_content(file, content):
     assert str(file) in message
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     rows=st.lists(
         st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), min_size=1, max_size=8
@@ -139,7 +139,7 @@ def test_yaml_numbers_are_read_as_ros_reads_them(text, value):
         assert [type(item) for item in read] == [type(item) for item in value]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(number=st.floats(allow_nan=False, allow_infinity=False))
 def test_any_number_that_python_writes_is_read_from_yaml(number):
     read = parse_yaml(f"value: {number!r}")["value"]

@@ -33,7 +33,7 @@ tiny_rates = st.sampled_from([0.0, 5e-324, 1e-300, 1e-12, -1e-9, 1e-8, -1e-6, 1e
 rates = st.one_of(st.floats(-5.0, 5.0), tiny_rates)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     pose=st.tuples(places, places, headings),
     linear=st.floats(-3.0, 3.0),
@@ -53,7 +53,7 @@ def test_advance_pose_is_the_solution_of_the_unicycle(pose, linear, angular, dt)
     np.testing.assert_allclose(moved, solution.y[:, -1], atol=1e-8)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     pose=st.tuples(places, places, headings),
     linear=st.floats(-3.0, 3.0),
@@ -69,7 +69,7 @@ def test_two_periods_of_a_held_twist_are_one_long_one(pose, linear, angular, fir
     np.testing.assert_allclose(both, at_once, atol=1e-12)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     poses=npst.arrays(float, (2, 3, 3), elements=headings),
     twists=npst.arrays(float, (2, 3, 2), elements=rates),
@@ -83,7 +83,7 @@ def test_a_batch_of_poses_moves_as_single_ones_do(poses, twists, dt):
         np.testing.assert_allclose(moved[index], single, rtol=0.0, atol=1e-13)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(angle=st.floats(-1e6, 1e6))
 @example(angle=-math.pi)
 @example(angle=math.pi)
@@ -97,7 +97,7 @@ def test_wrapped_angles_are_in_range_and_the_same_direction(angle):
     assert abs(math.remainder(wrapped - angle, math.tau)) < 1e-9
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(angles=npst.arrays(float, npst.array_shapes(max_dims=3), elements=st.floats(-1e3, 1e3)))
 def test_wrapping_keeps_the_shape_and_each_direction(angles):
     wrapped = wrap_angle(angles)
@@ -105,7 +105,7 @@ def test_wrapping_keeps_the_shape_and_each_direction(angles):
     np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     frame=st.tuples(places, places, headings),
     error=st.tuples(places, places, st.floats(-math.pi + 1e-6, math.pi - 1e-6)),
@@ -125,14 +125,14 @@ def test_a_vehicle_to_the_left_and_ahead_has_positive_errors():
     np.testing.assert_allclose(tracking_error(pose, north), [2.0, 0.5, 0.25], atol=1e-15)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(yaw=st.floats(-3.14, 3.14), scale=st.floats(0.01, 100.0))
 def test_yaw_of_a_turned_robot_does_not_depend_on_the_quaternions_norm(yaw, scale):
     z, w = scale * math.sin(yaw / 2.0), scale * math.cos(yaw / 2.0)
     assert math.isclose(yaw_of_quaternion(0.0, 0.0, z, w), yaw, abs_tol=1e-12)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(yaw=st.floats(-3.0, 3.0), pitch=st.floats(-1.4, 1.4), roll=st.floats(-3.0, 3.0))
 def test_yaw_of_a_tilted_robot_is_the_direction_of_its_nose(yaw, pitch, roll):
     rotation = Rotation.from_euler("ZYX", [yaw, pitch, roll])
@@ -143,7 +143,7 @@ def test_yaw_of_a_tilted_robot_is_the_direction_of_its_nose(yaw, pitch, roll):
 
 
 @pytest.mark.filterwarnings("ignore:invalid value")  # numpy's, of what is infinite
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(value=st.floats(), low=rates, width=st.floats(0.0, 5.0))
 def test_functions_of_one_number_are_those_of_arrays(value, low, width):
     for one in (value, np.float64(value)):
@@ -159,7 +159,7 @@ def test_functions_of_one_number_are_those_of_arrays(value, low, width):
         np.testing.assert_array_equal(where(array, one, low), np.where(array, one, low))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(several=npst.arrays(float, (3, 4), elements=rates))
 def test_numbers_are_the_components_along_the_last_axis(several):
     np.testing.assert_array_equal(np.stack(numbers(several)), several.T)

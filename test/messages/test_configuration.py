@@ -35,7 +35,7 @@ def test_defaults_are_read_back_from_yaml_with_their_type(tree):
         assert_read_alike(yaml_text(field.default), field.default)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     value=st.one_of(
         st.booleans(),
@@ -56,7 +56,7 @@ def test_numbers_are_read_back_from_yaml_with_their_type(value):
         assert "." in text  # ROS takes a number without a point for an integer
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(value=st.text("".join(map(chr, range(32, 127))) + "äφ€😀", max_size=12))
 @example(value='a "quoted" name')
 @example(value="back\\slash")

@@ -48,7 +48,6 @@ def odometry_bytes(numbers, frame="odom", child_frame="base_link", little_endian
     return bytes(STORE.serialize_cdr(message, "nav_msgs/msg/Odometry", little_endian=little_endian))
 
 
-@settings(deadline=None)
 @given(numbers=NUMBERS, frame=NAMES, child_frame=NAMES, little_endian=st.booleans())
 def test_odometry_is_read_as_the_message_has_it(numbers, frame, child_frame, little_endian):
     found = read_odometry(odometry_bytes(numbers, frame, child_frame, little_endian))
@@ -59,7 +58,7 @@ def test_odometry_is_read_as_the_message_has_it(numbers, frame, child_frame, lit
     np.testing.assert_array_equal(read, [*numbers[:7], numbers[7], numbers[12]])
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(cut=st.integers(0, 750), place=st.integers(0, 749), value=st.integers(0, 255))
 def test_damaged_odometry_is_refused_or_read_and_nothing_else(cut, place, value):
     raw = bytearray(odometry_bytes(np.arange(13.0).tolist()))
@@ -86,7 +85,6 @@ def test_odometry_is_refused_wherever_it_is_cut_off():
             read_odometry(raw[:length])
 
 
-@settings(deadline=None)
 @given(
     time=st.integers(-(2**31) * 1_000_000_000, 2**31 * 1_000_000_000 - 1),
     frame=NAMES,
@@ -108,7 +106,7 @@ def test_a_header_and_numbers_are_written_as_the_serialiser_does(time, frame, nu
         assert stamped_numbers(time, frame, written) == bytes(expected)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     labels=st.lists(NAMES, min_size=1, max_size=4),
     numbers=st.lists(st.floats(allow_nan=False), min_size=1, max_size=5),

@@ -25,7 +25,7 @@ def driven(plant, command, dt, steps, pose=(0.0, 0.0, 0.0)):
     return robot, np.array(twists)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     speed=st.floats(-2.0, 2.0),
     limit=st.floats(0.1, 5.0),
@@ -62,7 +62,7 @@ def test_a_ramp_ends_where_it_should_within_a_step():
     assert robot.twist.tolist() == pytest.approx([1.0, 0.75])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     command=st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)),
     linear=st.floats(0.0, 1.0),
@@ -93,7 +93,7 @@ def test_friction_bounds_braking_and_bends():
     assert np.hypot(*(robot.pose - place)[:2]) == pytest.approx(0.5 / slowest, rel=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     heading=st.floats(-3.0, 3.0),
     command=st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
@@ -132,7 +132,7 @@ def test_drift_is_a_random_walk(dt):
     assert (robot.pose == 0.0).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(periods=st.integers(0, 7), longer=st.floats(0.0, 0.9))
 def test_delayed_odometry_is_what_was_measured_then(periods, longer):
     dt = 0.02

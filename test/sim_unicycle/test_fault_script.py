@@ -63,7 +63,7 @@ def test_values_hold_for_their_time_and_the_later_entry_wins(tmp_path):
     assert script.settings_at(other, 9.0).plant.position_noise == 0.9
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     at=st.integers(0, 300),
     duration=st.integers(1, 50),
@@ -138,7 +138,7 @@ junk = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(content=junk | st.fixed_dictionaries({"faults": st.lists(junk, max_size=3)}))
 def test_whatever_a_script_holds_it_is_taken_or_refused(tmp_path_factory, content):
     file = tmp_path_factory.mktemp("script") / "any.yaml"

@@ -16,7 +16,7 @@ twists = st.tuples(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0)).map(np.array)
 poses = st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-3.0, 3.0)).map(np.array)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     pose=poses,
     commands=st.lists(st.tuples(twists, st.floats(0.001, 0.5)), min_size=1, max_size=5),
@@ -46,7 +46,7 @@ def test_a_full_circle_ends_where_it_began():
     np.testing.assert_allclose(robot.pose, [1.0, 2.0, 0.5 + 2.0 * math.pi], atol=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     command=st.tuples(st.floats(-10.0, 10.0), st.floats(-10.0, 10.0)).map(np.array),
     lowest=st.floats(-2.0, 0.0),
@@ -67,7 +67,7 @@ def test_the_robot_keeps_its_limits(command, lowest, highest, turn, lag):
     np.testing.assert_allclose(robot.twist, clipped, atol=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     speed=st.floats(-2.0, 2.0),
     turn=st.floats(-2.0, 2.0),
@@ -116,7 +116,7 @@ def test_lag_in_a_turn_converges_to_the_lagging_robot():
     assert misses[1] / misses[2] > 3.0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     commands=npst.arrays(float, (12, 2), elements=st.floats(-2.0, 2.0)),
     periods=st.integers(1, 6),
@@ -174,7 +174,7 @@ def test_noise_is_seeded_and_does_not_move_the_robot():
     np.testing.assert_array_equal(measurements(1, heading_noise=0.0)[:, 2], 0.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     pose=st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-1e3, 1e3)),
     noise=st.sampled_from([0.0, 0.5]),
@@ -189,7 +189,7 @@ def test_the_measured_heading_is_wrapped(pose, noise):
         assert measured[:2].tolist() == list(pose[:2])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     starts=npst.arrays(float, (4, 3), elements=st.floats(-3.0, 3.0)),
     commands=npst.arrays(float, (5, 4, 2), elements=st.floats(-2.0, 2.0)),

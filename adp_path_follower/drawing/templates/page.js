@@ -66,7 +66,7 @@
       targetX: mix(motion.target_x), targetY: mix(motion.target_y),
     };
   };
-  // What a pixel of the map is wide [m].
+  // The width of a pixel of the map [m].
   const pixelOf = (figure) => {
     const axis = figure.element._fullLayout?.xaxis;
     return axis ? Math.abs(axis.range[1] - axis.range[0]) / axis._length : 0.05;

@@ -27,7 +27,7 @@ MILLISECOND = 1_000_000
 EIGHT = lissajous()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     sent=st.lists(
         st.tuples(st.floats(0.001, 0.2), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0)),
@@ -164,7 +164,7 @@ def test_after_a_stop_it_starts_from_rest_and_without_one_it_goes_on():
     assert_within_acceleration_limits(late)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     steps=st.lists(
         st.tuples(

@@ -50,7 +50,7 @@ def test_an_infinite_limit_is_none():
     assert after((1.0, -1.5), (0.0, 1.5), max_linear_decel=1.0).tolist() == [1.0, -1.5]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     accel=RATES,
     decel=RATES,

@@ -34,7 +34,7 @@ def rate(zeta, curvature, modified_input, target):
     return drift + (gain @ modified_input[..., None])[..., 0]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     name=st.sampled_from(sorted(PATHS)),
     place=st.floats(0.0, 1.0),
@@ -107,7 +107,7 @@ def test_integrated_error_dynamics_agree_with_the_world(name):
     np.testing.assert_allclose(of_errors[:, 3], expected_phi, atol=1e-8)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     zeta=npst.arrays(float, 4, elements=st.floats(-1.0, 1.0)),
     scale=st.floats(0.1, 50.0),
@@ -123,7 +123,7 @@ def test_drift_is_the_printed_one_row_by_row(printed, zeta, scale, kappa):
     np.testing.assert_array_equal(dynamics.input_matrix(zeta), printed.input_matrix(zeta))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     zeta=npst.arrays(float, (2, 3, 4), elements=st.floats(-1.0, 1.0)),
     kappa=npst.arrays(float, (2, 3), elements=st.floats(-5.0, 5.0)),
@@ -144,7 +144,7 @@ def test_a_batch_of_states_is_as_single_ones(zeta, kappa, target):
         np.testing.assert_allclose(steady[index], [v_des, v_des * kappa[index]], rtol=1e-15)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(kappa=st.floats(-5.0, 5.0), phi=st.floats(-0.99, 0.99), target=targets)
 def test_a_robot_on_the_target_stays_there_without_input(kappa, phi, target):
     zeta = np.array([0.0, 0.0, 0.0, phi])
@@ -168,7 +168,7 @@ def test_feedforward_alone_keeps_a_robot_on_the_figure_eight(figure_eight):
     np.testing.assert_allclose(tracking_error(solution.y[:, -1], there), 0.0, atol=1e-5)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(s_p=st.floats(-20.0, 20.0), error=errors, target=targets)
 def test_phi_is_the_tanh_of_arc_length_and_moves_as_it_does(s_p, error, target):
     phi = float(dynamics.path_state(np.array(s_p), target))
@@ -185,7 +185,7 @@ def test_phi_is_the_tanh_of_arc_length_and_moves_as_it_does(s_p, error, target):
     assert rate_of_phi == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-5, abs=1e-7)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(phi=st.floats(-0.999, 0.999), target=targets)
 def test_arc_length_of_phi_is_its_inverse(phi, target):
     s_p = float(dynamics.arc_length_of(np.array(phi), target))

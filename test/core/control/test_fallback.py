@@ -27,7 +27,7 @@ STARTS = np.array([[0.9, 0.8, -0.9], [-0.8, 0.9, 1.0], [0.3, -0.95, -1.0], [-0.9
 positive = st.floats(1e-6, 1e6)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(cost=positive, share=st.floats(-2.0, 3.0), value=positive, ratio=st.floats(-2.0, 3.0))
 def test_trust_ends_where_the_value_falls_too_slowly_or_is_too_small(cost, share, value, ratio):
     assume(abs(share - 0.5) > 1e-5)

@@ -63,7 +63,7 @@ def at_level(direction, level):
     return level * direction * HALF_WIDTHS
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(kind=kinds, direction=directions, level=st.floats(0.0, START), learned=inputs)
 def test_near_the_path_the_learned_input_stays_as_it_is(kind, direction, level, learned):
     error = at_level(direction, level * (1.0 - 1e-12))
@@ -73,14 +73,14 @@ def test_near_the_path_the_learned_input_stays_as_it_is(kind, direction, level, 
     assert several[0].tolist() == learned.tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(kind=kinds, direction=directions, level=st.floats(END, 5.0), learned=inputs)
 def test_far_from_the_path_the_learned_input_does_not_matter(kind, direction, level, learned):
     error = at_level(direction, level * (1.0 + 1e-12))
     assert blended(kind, error, learned).tolist() == blended(kind, error, -learned).tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(kind=kinds, direction=directions, low=st.floats(START, END), high=st.floats(START, END))
 def test_in_between_the_share_of_the_far_policy_rises(kind, direction, low, high):
     low, high = sorted((low, high))
@@ -97,7 +97,7 @@ def test_in_between_the_share_of_the_far_policy_rises(kind, direction, low, high
     np.testing.assert_allclose(share(middle), 0.5, atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(kind=kinds, direction=directions, learned=inputs, curvature=st.sampled_from([0.0, 0.5]))
 def test_the_input_is_continuous_on_the_way_out(kind, direction, learned, curvature):
     levels = np.linspace(0.5 * START, 1.5 * END, 4001)
@@ -108,7 +108,7 @@ def test_the_input_is_continuous_on_the_way_out(kind, direction, learned, curvat
     assert np.abs(np.diff(applied, axis=0)).max() < 0.03
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     kind=kinds,
     direction=directions,
@@ -124,7 +124,7 @@ def test_commands_stay_within_the_limits(kind, direction, level, curvature):
     assert -1.5 - 1e-12 <= w <= 1.5 + 1e-12
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(kind=kinds, direction=directions, level=st.floats(END, 6.0))
 def test_the_mirrored_error_has_the_mirrored_input(kind, direction, level):
     error = at_level(direction, level) * (1.0 + 1e-12)
@@ -132,7 +132,7 @@ def test_the_mirrored_error_has_the_mirrored_input(kind, direction, level):
     np.testing.assert_allclose(mirrored, blended(kind, error, np.zeros(2)) * [1.0, -1.0], atol=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(direction=directions, level=st.floats(END + 1e-9, 4.0), cost=st.floats(0.2, 5.0))
 def test_far_away_riccati_is_the_linear_policy_in_the_half_angle_frame(
     printed, explicit, direction, level, cost
@@ -148,7 +148,7 @@ def test_far_away_riccati_is_the_linear_policy_in_the_half_angle_frame(
     np.testing.assert_allclose(found, -0.5 * pull / [cost, 1.0], rtol=1e-3, atol=1e-3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(direction=directions, scale=st.floats(1e-4, 1e-3))
 def test_approach_is_the_riccati_law_for_small_errors(direction, scale):
     # Levels this small make everything far; heading and position are small against both.
@@ -164,7 +164,7 @@ def test_approach_is_the_riccati_law_for_small_errors(direction, scale):
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(y=st.floats(0.3, 1e6), side=st.sampled_from([-1.0, 1.0]), angle=st.floats(0.3, 1.4))
 def test_approach_holds_a_heading_of_no_more_than_its_angle(y, side, angle):
     values = {**UNLIMITED, "approach_angle": angle, "wide_region_levels": (1e-9, 2e-9)}
@@ -319,7 +319,7 @@ def test_the_circle_that_counts_ends_where_the_coming_piece_of_path_does():
     assert abs(found[0, 1] - zeta[0, 1]) > 0.05  # the bend is no circle
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     error=npst.arrays(float, 3, elements=st.floats(-3.0, 3.0)),
     kappa=st.floats(0.1, 1.2),

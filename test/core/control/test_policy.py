@@ -24,7 +24,7 @@ limits = st.builds(
 steady_inputs = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)).map(np.array)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(actor=weights, slope=slopes, first=costs, second=costs, coupling=st.floats(-0.9, 0.9))
 def test_the_policy_makes_the_hamiltonian_stationary(actor, slope, first, second, coupling):
     mixed = coupling * math.sqrt(first * second)
@@ -33,7 +33,7 @@ def test_the_policy_makes_the_hamiltonian_stationary(actor, slope, first, second
     np.testing.assert_allclose(2.0 * input_cost @ found + slope.T @ actor, 0.0, atol=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(actor=weights, slope=slopes, first=costs, second=costs, box=limits, steady=steady_inputs)
 def test_the_clipped_policy_minimises_the_hamiltonian_over_the_box(
     actor, slope, first, second, box, steady
@@ -62,7 +62,7 @@ def test_the_clipped_policy_minimises_the_hamiltonian_over_the_box(
     assert hamiltonian(found) <= best.fun + 1e-9
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     wanted=npst.arrays(float, (2, 3, 2), elements=st.floats(-5.0, 5.0)),
     steady=npst.arrays(float, (2, 3, 2), elements=st.floats(-2.0, 2.0)),
@@ -77,7 +77,7 @@ def test_a_batch_is_clipped_as_single_inputs_are(wanted, steady, box):
         np.testing.assert_allclose(together[index] + steady[index], [v, w], atol=1e-14)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(wanted=npst.arrays(float, 2, elements=st.floats(-1e6, 1e6)), steady=steady_inputs)
 def test_without_limits_no_input_is_clipped(wanted, steady):
     unlimited = LimitSettings(-math.inf, math.inf, math.inf)

@@ -45,7 +45,7 @@ def residual(solution, curvature, target, cost):
     return a.T @ solution + solution @ a - solution @ b @ gain + cost.state_cost_matrix()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(curvature=curvatures, target=targets)
 def test_the_system_is_the_error_dynamics_linearised(curvature, target):
     system = system_matrix(curvature, target, target.desired_speed)
@@ -65,7 +65,7 @@ def test_the_system_is_the_error_dynamics_linearised(curvature, target):
 wide = st.floats(-3.0, 3.0).map(lambda power: 10.0**power)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     nodes=st.lists(st.tuples(curvatures, wide), min_size=1, max_size=8),
     gain=wide,
@@ -85,7 +85,7 @@ def test_many_solutions_are_those_that_scipy_finds_one_by_one(nodes, gain, state
         np.testing.assert_allclose(found[number], expected, atol=1e-6 * np.abs(expected).max())
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(curvature=curvatures, target=targets, cost=costs)
 def test_solutions_satisfy_the_riccati_equation(curvature, target, cost):
     solution = riccati_solution(curvature, target.desired_speed, target, cost)
@@ -98,7 +98,7 @@ def test_solutions_satisfy_the_riccati_equation(curvature, target, cost):
     np.testing.assert_allclose(found + allowed, 0.0, atol=slack)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(curvature=curvatures, target=targets, cost=costs)
 def test_the_closed_loop_is_stable_on_any_bend(curvature, target, cost):
     solution = riccati_solution(curvature, target.desired_speed, target, cost)
@@ -107,7 +107,7 @@ def test_the_closed_loop_is_stable_on_any_bend(curvature, target, cost):
     assert np.linalg.eigvals(closed).real.max() < 0.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(curvature=curvatures, target=targets, cost=costs)
 def test_a_mirrored_path_has_the_mirrored_solution(curvature, target, cost):
     mirror = np.diag([1.0, -1.0, -1.0])
@@ -116,7 +116,7 @@ def test_a_mirrored_path_has_the_mirrored_solution(curvature, target, cost):
     np.testing.assert_allclose(right, left, rtol=1e-8, atol=1e-8 * np.abs(left).max())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(factor=st.floats(0.01, 100.0), curvature=curvatures)
 def test_solutions_are_proportional_to_the_cost(factor, curvature):
     target = TargetSettings()
@@ -158,7 +158,7 @@ def test_numbers_too_extreme_for_a_solution_are_refused_with_what_to_do():
 # --- along a path -------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(place=st.floats(-200.0, 400.0))
 def test_between_its_nodes_the_schedule_is_near_the_solution(figure_eight, place):
     target, cost = TargetSettings(), CostSettings()

@@ -28,7 +28,7 @@ def observed(place, error):
     return target, pose
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(place=st.floats(0.0, 20.0), error=errors, dt=periods)
 def test_the_first_move_only_looks(place, error, dt):
     target = steady_target(PATH, SLOW, place)
@@ -38,7 +38,7 @@ def test_the_first_move_only_looks(place, error, dt):
     assert frame.pose.tolist() == PATH.frame(place).pose.tolist()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(place=st.floats(0.0, 20.0), error=errors, dt=periods)
 def test_after_a_hold_one_move_takes_no_time_and_the_next_one_does(place, error, dt):
     target, pose = observed(place, error)
@@ -50,7 +50,7 @@ def test_after_a_hold_one_move_takes_no_time_and_the_next_one_does(place, error,
     assert target.arc_length - place == pytest.approx(speed * dt, rel=0.1)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(place=st.floats(0.0, 20.0), error=errors, dt=periods)
 def test_a_copy_goes_on_from_the_same_place_by_its_own_settings(place, error, dt):
     target, pose = observed(place, error)
@@ -84,7 +84,7 @@ def test_one_start_serves_a_batch():
     np.testing.assert_allclose(target.arc_length, 3.01, rtol=1e-3)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(error=errors, v=st.floats(-2.0, 2.0), w=st.floats(-2.0, 2.0))
 def test_the_running_cost_is_the_sum_of_its_quadratic_forms(error, v, w):
     q, r = (1.0, 0.2, 0.0, 0.2, 2.0, 0.1, 0.0, 0.1, 1.0), (1.0, 0.3, 0.3, 2.0)

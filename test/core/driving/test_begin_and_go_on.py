@@ -116,7 +116,7 @@ def test_a_stopped_robot_goes_on_where_it_stopped(start):
     assert distance_driven(driven) == pytest.approx(route.length, abs=0.1)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     number=st.integers(0, 23),
     seconds=st.floats(2.0, 10.0),

@@ -54,7 +54,7 @@ def noisy_poses(path, seed, count, batch=()):
 # --- one step -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     name=every_path,
     place=st.floats(0.0, 1.0),
@@ -117,7 +117,7 @@ def test_a_short_step_learns_at_the_rates_of_the_printed_laws(printed, paper, fi
     np.testing.assert_allclose(found[1], expected[1], rtol=1e-3, atol=1e-3)
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(
     name=every_path,
     place=st.floats(-1.0, 2.0),
@@ -142,7 +142,7 @@ def test_commands_are_finite_and_within_the_limits(
 # --- many steps ---------------------------------------------------------------------------------
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=seeds, name=every_path)
 def test_the_same_inputs_give_the_same_bits(paper, seed, name):
     poses, periods = noisy_poses(PATHS[name], seed, 30)
@@ -160,7 +160,7 @@ def test_the_same_inputs_give_the_same_bits(paper, seed, name):
             assert value.tobytes() == second[key].tobytes()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=seeds, limited=st.booleans())
 def test_a_batch_of_robots_is_driven_as_single_ones_are(paper, figure_eight, seed, limited):
     tuning = build(Settings, {**paper, **(LIMITED if limited else {})})
@@ -196,7 +196,7 @@ extreme = st.one_of(st.floats(), st.sampled_from([math.inf, -math.inf, math.nan,
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numpy's, of what is infinite
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     poses=st.lists(st.tuples(extreme, extreme, extreme), min_size=1, max_size=3),
     open_path=st.booleans(),
@@ -251,7 +251,7 @@ def test_the_cost_so_far_is_the_integral_of_the_running_cost(paper, figure_eight
     assert float(follower.cost) == pytest.approx(trapezoid(rates, times), rel=1e-12)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(name=every_path, error=errors, dt=st.floats(1e-3, 10.0))
 def test_after_a_hold_no_time_passes(paper, name, error, dt):
     path = PATHS[name]

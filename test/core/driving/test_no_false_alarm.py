@@ -71,7 +71,7 @@ def disturbed(driver, random, time):
     return time + int(random.choice([0, 100_000_000, 3_000_000_000]))
 
 
-@settings(max_examples=EXAMPLES, deadline=None)
+@settings(max_examples=EXAMPLES)
 @given(seed=st.integers(0, 10_000))
 def test_an_ideal_robot_is_not_doubted(seed):
     """From rest in bends, after sudden stops and resumes in turns, with limits of all kinds."""

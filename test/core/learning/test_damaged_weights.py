@@ -59,7 +59,7 @@ def test_a_sound_content_is_taken():
     assert refusal_of(SOUND) == refusal_of(content_of()) == ""
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(data=st.data())
 def test_flipped_bytes_are_refused_or_change_nothing(data):
     content = bytearray(SOUND)
@@ -73,13 +73,13 @@ def test_flipped_bytes_are_refused_or_change_nothing(data):
         np.testing.assert_array_equal(found.learned.actor, sound.learned.actor)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(count=st.integers(0, len(SOUND) - 1))
 def test_half_a_file_is_refused(count):
     assert refusal_of(SOUND[:count])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(content=st.binary(max_size=300))
 @example(b"")
 @example(b"PK\x05\x06" + bytes(18))  # an archive without a member
@@ -134,7 +134,7 @@ def test_an_archive_that_unpacks_to_too_much_is_not_unpacked(monkeypatch):
     assert not read
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     name=st.sampled_from([*ARRAYS]),
     array=st.one_of(
@@ -148,7 +148,7 @@ def test_any_other_array_is_refused(name, array):
     assert refusal_of(content_of(**{name: array}))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(text=st.text(max_size=30), place=st.integers(0, len(HEAD)))
 def test_any_text_in_the_head_is_taken_or_refused(text, place):
     refusal_of(content_of(head=HEAD[:place] + text + HEAD[place:]))

@@ -73,7 +73,7 @@ def samples_one_by_one(printed, polynomial, states, costs, limits, ahead, kappa,
 # --- the samples --------------------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     count=st.integers(16, 3000),
     widths=st.tuples(*[st.floats(0.01, 50.0)] * 3),
@@ -131,7 +131,7 @@ def test_equations_are_the_sums_of_the_formulas(printed, explicit, costs, limits
         assert found.running_cost == pytest.approx(c @ q**2, rel=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, kappa=st.floats(-3.0, 3.0), cuts=st.sets(st.integers(1, 159), max_size=6))
 def test_parts_of_the_samples_add_up_to_the_whole(seed, kappa, cuts):
     model = KnotModel(tuning(degree=4, limits=ROBOT), 0.2)
@@ -203,7 +203,7 @@ def random_equations(seed, size, rows):
     return regressor, constant, NormalEquations(regressor.T @ regressor, vector, cost, cost)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=seeds, size=st.integers(1, 12), more=st.integers(5, 30))
 def test_the_fit_of_any_equations_is_their_least_squares_solution(seed, size, more):
     regressor, constant, equations = random_equations(seed, size, size + more)
@@ -221,7 +221,7 @@ def smallest_eigenvalue(equations):
     return float(np.linalg.eigvalsh(equations.matrix / scale[:, None] / scale)[0])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=seeds, size=st.integers(1, 12), more=st.integers(0, 30))
 def test_the_certificate_of_any_equations_has_the_size_of_the_bound(seed, size, more):
     _, _, equations = random_equations(seed, size, size + more)
@@ -236,7 +236,7 @@ def test_the_certificate_of_any_equations_is_a_fair_estimate():
         assert smallest / 8.0 - 2e-9 <= fit(equations).excitation <= 5.0 * smallest + 2e-9
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=seeds, size=st.integers(2, 12))
 def test_samples_that_do_not_determine_the_weights_certify_nothing(seed, size):
     _, _, equations = random_equations(seed, size, size - 1)

@@ -47,7 +47,7 @@ def samples(seed, count):
 # --- least squares ------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=seeds, count=st.integers(SIZE + 5, 40), critic=weights, actor=weights)
 def test_least_squares_weigh_each_sample_by_its_normalisation(seed, count, critic, actor):
     regressor, costs = samples(seed, count)
@@ -57,7 +57,7 @@ def test_least_squares_weigh_each_sample_by_its_normalisation(seed, count, criti
     np.testing.assert_allclose(found, best, rtol=1e-5, atol=1e-5)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, count=st.integers(1, SIZE - 1))
 def test_what_the_samples_do_not_determine_stays_small(seed, count):
     regressor, costs = samples(seed, count)
@@ -85,7 +85,7 @@ def test_least_squares_of_a_batch_are_those_of_single_runs():
 # --- the actor ----------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(actor=weights, critic=weights, gain=st.floats(0.0, 1e3), dt=st.floats(0.0, 1.0))
 def test_the_actor_follows_by_an_exact_lag(actor, critic, gain, dt):
     found = follow(actor, critic, gain, 1e3, dt)
@@ -95,7 +95,7 @@ def test_the_actor_follows_by_an_exact_lag(actor, critic, gain, dt):
     np.testing.assert_allclose(follow(half, critic, gain, 1e3, 0.5 * dt), found, atol=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     actor=npst.arrays(float, (3, SIZE), elements=st.floats(-1e3, 1e3)),
     critic=npst.arrays(float, (3, SIZE), elements=st.floats(-1e3, 1e3)),

@@ -77,7 +77,7 @@ class CountingModel:
 # --- the work of a step -------------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from(sorted(PATHS)),
     count=st.integers(32, 700),

@@ -62,7 +62,7 @@ def learn(fleet, alone, places, step):
 
 @pytest.mark.parametrize("variant", sorted(VARIANTS))
 @pytest.mark.parametrize("name", sorted(PATHS))
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(
     starts=st.lists(st.floats(-3.0, 40.0), min_size=3, max_size=3),
     speeds=st.lists(st.floats(-3.0, 6.0), min_size=3, max_size=3),

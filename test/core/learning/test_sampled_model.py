@@ -46,7 +46,7 @@ def assert_same(sweep, naive):
     np.testing.assert_allclose(sweep.gradient, gradient, atol=1e-8)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from(sorted(PATHS)),
     critic=weights,
@@ -62,7 +62,7 @@ def test_sampled_errors_without_limits(printed, paper, name, critic, actor, stat
     assert_same(model.sweep(critic, actor), naive)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from(sorted(PATHS)),
     critic=weights,
@@ -100,7 +100,7 @@ def test_sampled_errors_of_limited_commands(
     assert_same(model.sweep(critic, actor), naive)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     half_widths=st.tuples(*[st.floats(0.01, 5.0)] * 4), counts=st.tuples(*[st.integers(1, 4)] * 4)
 )
@@ -120,7 +120,7 @@ def test_the_grid_is_regular_and_symmetric_about_the_origin(half_widths, counts)
             assert places.tolist() == [0.0]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     critic=weights,
     zeta=npst.arrays(float, 4, elements=st.floats(-1.0, 1.0)),
@@ -142,7 +142,7 @@ def test_a_bellman_error_is_the_formula(printed, critic, zeta, zeta_rate, runnin
     np.testing.assert_allclose(found.information, np.outer(omega, omega) / p, atol=1e-11)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     critic=npst.arrays(float, (2, 3, 9), elements=st.floats(-3.0, 3.0)),
     actor=npst.arrays(float, (2, 3, 9), elements=st.floats(-3.0, 3.0)),
@@ -168,7 +168,7 @@ def test_a_batch_of_weights_is_as_single_ones(paper, figure_eight, critic, actor
         )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     regressor=npst.arrays(float, (12, 5), elements=st.floats(-3.0, 3.0)),
     critic=npst.arrays(float, 5, elements=st.floats(-3.0, 3.0)),

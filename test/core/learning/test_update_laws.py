@@ -33,7 +33,7 @@ def learning_settings(**values):
 # --- the critic's step --------------------------------------------------------------------------
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(eigenvalues=npst.arrays(float, SIZE, elements=rates), seed=seeds, offset=weights, dt=periods)
 @example(eigenvalues=np.full(SIZE, 1e6), seed=0, offset=np.ones(SIZE), dt=0.1)
 def test_no_direction_overshoots_the_exact_solution(eigenvalues, seed, offset, dt):
@@ -65,7 +65,7 @@ def test_one_fast_direction_leaves_the_others_alone(power):
         np.testing.assert_allclose(after - (direction @ after) * direction, others, atol=1e-3)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=seeds, slowest=st.floats(0.1, 1.0), fastest=st.floats(1.0, 8.0))
 def test_steps_are_of_second_order(seed, slowest, fastest):
     vectors = rotation(seed)
@@ -85,7 +85,7 @@ def test_steps_are_of_second_order(seed, slowest, fastest):
     assert fine < 1e-3
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(eigenvalues=npst.arrays(float, SIZE, elements=rates), seed=seeds, start=weights, dt=periods)
 def test_many_steps_stay_stable(eigenvalues, seed, start, dt):
     vectors = rotation(seed)
@@ -98,13 +98,13 @@ def test_many_steps_stay_stable(eigenvalues, seed, start, dt):
         before = after
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(descent=weights, dt=periods)
 def test_without_a_rate_the_step_is_the_descent_times_the_period(descent, dt):
     np.testing.assert_allclose(relax(np.zeros((SIZE, SIZE)), descent, dt), dt * descent)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=seeds, dt=periods)
 def test_a_batch_of_steps_is_as_single_ones(seed, dt):
     random = np.random.default_rng(seed)
@@ -126,14 +126,14 @@ def of_norm(direction, norm):
     return direction * (norm / length)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(direction=weights, step=weights, share=st.floats(0.0, 1.0), bound=st.floats(0.1, 100.0))
 def test_steps_inside_the_ball_are_not_changed(direction, step, share, bound):
     inside = of_norm(direction, share * bound * (1.0 - 1e-12))
     assert project(step, inside, bound).tolist() == step.tolist()
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(direction=weights, step=weights, share=st.floats(0.0, 3.0), bound=st.floats(0.1, 100.0))
 def test_steps_that_lead_inwards_are_not_changed(direction, step, share, bound):
     anywhere = of_norm(direction, share * bound)
@@ -142,7 +142,7 @@ def test_steps_that_lead_inwards_are_not_changed(direction, step, share, bound):
     np.testing.assert_allclose(project(step, anywhere, bound), step, atol=1e-15)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     direction=weights,
     step=weights,
@@ -159,7 +159,7 @@ def test_steps_at_the_outer_edge_are_tangential(direction, step, share, bound):
     np.testing.assert_allclose(found, step - (radial @ step) * radial, atol=1e-9)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(direction=weights, step=weights, share=st.floats(1.0, 1.1), bound=st.floats(0.1, 100.0))
 def test_steps_fade_out_through_the_layer(direction, step, share, bound):
     between = of_norm(direction, share * bound)
@@ -171,7 +171,7 @@ def test_steps_fade_out_through_the_layer(direction, step, share, bound):
     np.testing.assert_allclose(found - (radial @ found) * radial, tangential, atol=1e-9)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(direction=weights, share=st.floats(0.0, 100.0), bound=st.floats(0.1, 100.0))
 def test_the_norm_is_bounded_without_turning_the_weights(direction, share, bound):
     given_weights = of_norm(direction, share * bound)
@@ -276,7 +276,7 @@ def test_updates_under_the_projection_converge_to_the_printed_laws(bound):
     np.testing.assert_allclose(found.actor, exact.actor, atol=5e-3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(critic=weights, actor=weights, actor_gain=st.floats(0.0, 1e4), dt=periods)
 def test_the_actor_is_an_exact_lag_behind_a_critic_at_rest(critic, actor, actor_gain, dt):
     learning = learning_settings(
@@ -298,7 +298,7 @@ def test_the_actor_is_an_exact_lag_behind_a_critic_at_rest(critic, actor, actor_
     np.testing.assert_allclose(found.actor, expected, atol=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     critic=npst.arrays(float, SIZE, elements=st.floats(-1e4, 1e4)),
     actor=npst.arrays(float, SIZE, elements=st.floats(-1e4, 1e4)),

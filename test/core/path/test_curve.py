@@ -111,7 +111,7 @@ def test_figure_eight_through_sampled_points(lap):
 # --- every path ---------------------------------------------------------------------------------
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(name=every_path, place=st.floats(-0.3, 1.3))
 def test_arc_length_heading_and_curvature_fit_each_other(name, place):
     path = PATHS[name]
@@ -127,7 +127,7 @@ def test_arc_length_heading_and_curvature_fit_each_other(name, place):
     assert abs(turn - float(path.curvature(s))) < 1e-4
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(name=every_path, places=npst.arrays(float, (2, 3), elements=st.floats(-1.0, 2.0)))
 def test_frames_of_many_arc_lengths_are_those_of_each(name, places):
     path = PATHS[name]
@@ -140,7 +140,7 @@ def test_frames_of_many_arc_lengths_are_those_of_each(name, places):
         assert abs(frames.curvature[index] - single.curvature) < 1e-12
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     name=st.sampled_from([name for name in sorted(PATHS) if PATHS[name].closed]),
     place=st.floats(0.0, 1.0),
@@ -157,7 +157,7 @@ def test_a_closed_path_goes_on_over_its_laps(name, place, laps):
     assert abs(later.curvature - here.curvature) < 1e-7
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     name=st.sampled_from([name for name in sorted(PATHS) if not PATHS[name].closed]),
     beyond=st.floats(1e-9, 1e4),
@@ -173,7 +173,7 @@ def test_an_open_path_goes_on_straight_beyond_its_ends(name, beyond, at_the_end)
     assert frame.curvature == 0.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     kappa=st.one_of(st.floats(0.05, 2.0), st.floats(-2.0, -0.05)),
     s=st.floats(-100.0, 100.0),
@@ -196,7 +196,7 @@ def test_curvature_of_tiny_and_large_circles(kappa):
     np.testing.assert_allclose(path.curvature(s) / kappa, 1.0, atol=1e-3)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(s=st.floats(-1e3, 1e3))
 def test_the_line_is_straight_along_x(s):
     frame = PATHS["line"].frame(s)
@@ -221,7 +221,7 @@ def distances_to(path, points):
     return np.minimum(*distances)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     amplitudes=npst.arrays(float, (3, 2), elements=st.floats(-0.5, 0.5)),
     spacing=st.floats(0.02, 0.2),
@@ -237,7 +237,7 @@ def test_a_path_passes_through_its_points(amplitudes, spacing):
     assert distances_to(path, points).max() < 1e-4
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(fine=st.floats(0.004, 0.02))
 def test_a_path_passes_through_its_points_where_few_of_them_are_dense(fine):
     bend = np.arange(0.0, math.pi / 2.0, fine / 0.05)[1:]

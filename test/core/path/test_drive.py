@@ -45,7 +45,7 @@ def driven(path, places, noise, seed):
     return poses
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from(sorted(PATHS)),
     spacing=st.floats(0.005, 0.3),

@@ -69,7 +69,7 @@ def test_circles_without_a_sound_curvature_are_refused(curvature):
     assert "circle:0.5" in message
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     start=st.sampled_from(["", "circle:", "./", "missing/"]),
     text=st.text(max_size=12),

@@ -32,7 +32,7 @@ def gap_along(path, first, second):
     return abs(math.remainder(difference, path.length) if path.closed else difference)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(name=every_path, place=st.floats(0.0, 1.0))
 def test_the_nearest_place_to_a_pose_on_the_path_is_there(name, place):
     path = PATHS[name]
@@ -40,7 +40,7 @@ def test_the_nearest_place_to_a_pose_on_the_path_is_there(name, place):
     assert gap_along(path, best_place(path, pose)[0], place * path.length) < 0.0101
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(place=st.floats(0.0, 1.0), offset=st.floats(-0.2, 0.2), turn=st.floats(-0.2, 0.2))
 def test_the_nearest_place_to_a_pose_beside_the_figure_eight(figure_eight, place, offset, turn):
     s = place * figure_eight.length

@@ -78,7 +78,7 @@ def path_or_refusal(points, closed):
     assert np.isfinite(frame.curvature).all()
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     points=any_shape.flatmap(lambda shape: npst.arrays(float, shape, elements=coordinates)),
     closed=st.sampled_from([None, True, False]),
@@ -87,7 +87,7 @@ def test_any_array_makes_a_path_or_is_refused(points, closed):
     path_or_refusal(points, closed)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     points=npst.arrays(
         float,
@@ -101,7 +101,7 @@ def test_any_finite_points_make_a_path_or_are_refused(points, closed):
     path_or_refusal(points, closed)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     points=st.recursive(
         st.none()

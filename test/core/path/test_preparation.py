@@ -281,7 +281,7 @@ def route_or_refusal(points, path_settings, headings):
     return route
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     rows=npst.arrays(float, st.tuples(many, st.just(2)), elements=coordinates),
     headings=npst.arrays(float, many, elements=angles),
@@ -291,7 +291,7 @@ def test_any_numbers_give_a_route_or_a_sentence(rows, headings, path_settings):
     route_or_refusal(rows, path_settings, headings)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     points=npst.arrays(float, st.tuples(many, st.just(2)), elements=finite),
     noise=st.sampled_from([0.0, 0.0, 0.003]),

@@ -43,7 +43,7 @@ def routes():
     return st.integers(0, 23).map(random_route)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     route=routes(),
     behind=st.floats(0.0, 0.05),
@@ -56,7 +56,7 @@ def test_a_robot_at_the_first_pose_begins_there_whatever_it_faces(route, behind,
     assert place.arc_length <= ROBOT
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     route=routes(),
     share=st.floats(0.0, 1.0),
@@ -72,7 +72,7 @@ def test_following_goes_on_where_it_was(route, share, coasted, across, turn):
     assert abs(place.arc_length - true) < ROBOT
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     route=routes(),
     share=st.floats(0.25, 0.75),
@@ -96,7 +96,7 @@ def test_a_path_with_other_ends_is_gone_on_with(route, share, before, after, ext
         assert abs(found.arc_length - (place - start)) < ROBOT
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(route=routes(), share=st.floats(0.0, 1.0), across=st.floats(-0.03, 0.03))
 def test_a_new_route_begins_at_the_first_place_that_fits(route, share, across):
     pose = beside(route, share * route.length, 0.0, across)
@@ -109,7 +109,7 @@ def test_a_new_route_begins_at_the_first_place_that_fits(route, share, across):
     assert not (fits & (np.cos(frames[:, 2] - pose[2]) > math.cos(0.3))).any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(route=routes(), share=st.floats(0.0, 1.0), carried=st.floats(0.0, 1.0))
 def test_a_robot_that_was_carried_is_searched_for_on_the_whole_path(route, share, carried):
     pose = beside(route, carried * route.length)

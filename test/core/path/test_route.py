@@ -151,7 +151,7 @@ def test_settings_change_on_a_segment_in_reverse():
     assert min(output.command[0] for output in outputs) >= -0.2 - 1e-12
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     speed=st.floats(0.0, 1.0),
     turn=st.floats(-1.0, 1.0),

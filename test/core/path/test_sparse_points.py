@@ -32,7 +32,7 @@ def bend_of(route):
     return float(np.abs(segment.path.curvature(np.linspace(0, route.length, 5000))).max())
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(first=st.integers(0, 499), noise=st.sampled_from([0.0, 0.01]), turn=st.floats(-3.0, 3.0))
 def test_a_track_5_m_apart_bends_no_more_than_the_track(first, noise, turn):
     true = track() @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])

@@ -73,7 +73,7 @@ def test_without_limits_that_bind_it_is_the_desired_speed(path):
     assert path is LINE or not profile_of(path, **limits).varies
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(speed=st.floats(0.1, 3.0), decel=st.floats(0.05, 5.0), left=st.floats(0.0, 20.0))
 def test_the_end_of_a_line_is_braked_to_from_the_braking_distance(speed, decel, left):
     profile = profile_of(LINE, desired_speed=speed, max_linear_vel=5.0, max_linear_decel=decel)
@@ -122,7 +122,7 @@ def test_it_brakes_before_a_bend_and_accelerates_after_it():
     assert float(profile.speed(np.asarray(1.0))) == 0.5
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     accel=st.floats(0.1, 3.0),
     decel=st.floats(0.1, 3.0),

@@ -39,7 +39,7 @@ def measured_at(stamp, pose, twist=STILL, frame="base_link"):
     return Measurement(stamp, pose, twist, "odom", frame)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 1000),
     period=st.floats(0.001, 0.4),
@@ -132,7 +132,7 @@ def test_a_robot_may_be_as_fast_as_it_once_was_allowed():
     assert told(check, 10.02, (0.4, 0, 0), (20.0, 0.0), tuning=slower) == ""
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     period=st.sampled_from([0.01, 1.0 / 30.0, 0.1]),
     v=st.floats(0.2, 1.8),

@@ -86,7 +86,7 @@ def played(events):
     return supervisor, now, {**facts, "refused": refused}
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(events=st.lists(st.sampled_from(EVENTS), max_size=14), ready=st.booleans())
 def test_the_robot_moves_only_if_nothing_forbids_it(events, ready):
     start = ["activate", "path", "odometry"] if ready else []
@@ -172,7 +172,7 @@ def test_the_timeout_can_be_changed():
 
 
 @given(st.lists(st.sampled_from(EVENTS)))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_silence_is_a_fault_as_soon_as_patience_is_over_and_not_before(events):
     supervisor, now, _ = played(["activate", "path", "odometry", *events])
     if supervisor.status(now).state is State.FOLLOWING:

@@ -182,7 +182,7 @@ def test_a_proposal_comes_only_from_the_known_names():
 # --- costs --------------------------------------------------------------------------------------
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(rows=npst.arrays(np.int64, (2, 3), elements=st.integers(-9, 9)))
 @example(rows=np.array([[1, 1, 1], [0, 0, 0]]))
 @example(rows=np.array([[1, 2, 3], [0, 0, 0]]))
@@ -193,7 +193,7 @@ def test_every_positive_semidefinite_state_cost_is_accepted(rows):
     np.testing.assert_array_equal(found, matrix)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(root=npst.arrays(float, (2, 2), elements=st.floats(-3.0, 3.0)), margin=st.floats(1e-3, 10.0))
 def test_every_positive_definite_input_cost_is_accepted(root, margin):
     matrix = root @ root.T
@@ -202,7 +202,7 @@ def test_every_positive_definite_input_cost_is_accepted(root, margin):
     np.testing.assert_array_equal(tuning.cost.input_cost_matrix(), matrix)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(entries=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
 def test_indefinite_input_costs_are_refused(entries):
     first, mixed, second = entries
@@ -245,7 +245,7 @@ VALID = {
 good_values = st.fixed_dictionaries({}, optional=VALID)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(values=good_values)
 def test_settings_are_what_was_given_and_survive_a_round_trip(values):
     tuning = build(Settings, values)
@@ -259,7 +259,7 @@ def test_settings_are_what_was_given_and_survive_a_round_trip(values):
     assert build(Settings, flat) == tuning
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(before=good_values, changes=good_values)
 def test_an_update_replaces_what_it_names_and_nothing_else(before, changes):
     tuning = build(Settings, before)
@@ -327,7 +327,7 @@ number_lists = st.one_of(
 any_values = st.one_of(yaml_values, number_lists)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(values=st.dictionaries(st.sampled_from(CONTROLLER_NAMES), any_values, max_size=3))
 @example(values={"state_cost": [1e308] * 9})
 @example(values={"input_cost": [1e308, 1e308]})
@@ -336,7 +336,7 @@ def test_any_values_make_controller_settings_or_are_refused(values):
     settings_or_refusal(Settings, values)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(values=st.dictionaries(st.sampled_from(SIMULATOR_NAMES), any_values, max_size=3))
 def test_any_values_make_simulator_settings_or_are_refused(values):
     settings_or_refusal(SimulatorSettings, values)
@@ -357,7 +357,7 @@ def settings_or_refusal(tree, values):
     assert one_sentence
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(name=st.text(max_size=20), value=yaml_values)
 def test_any_unknown_name_is_refused(name, value):
     if name in CONTROLLER_NAMES:

@@ -32,7 +32,7 @@ def written(folder, content):
     return file
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     values=st.fixed_dictionaries(
         {},
@@ -122,7 +122,7 @@ def test_bad_files_are_refused(folder, content, kind, words):
         assert str(file) in message
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(
     content=st.one_of(
         st.binary(max_size=40),
@@ -160,7 +160,7 @@ def test_bad_assignments_are_refused(text):
     assert text.partition("=")[0].strip() in str(caught.value)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(text=st.text(max_size=20), name=st.sampled_from(["", "desired_speed=", "basis="]))
 @example(text="[" * 500, name="basis=")
 def test_any_assignment_gives_settings_or_is_refused(name, text):

@@ -157,7 +157,7 @@ def is_good_again(node, first_step, pose=(0.0, 0.1, 0.0)):
 ACCELERATIONS = {"max_linear_accel": 0.5, "max_linear_decel": 1.0, "max_angular_accel": 2.0}
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(
     messages=st.lists(st.one_of(odometry(), odometry(), paths()), max_size=6),
     tolerance=st.sampled_from([0.5, math.inf]),
@@ -175,7 +175,7 @@ def test_any_messages(node, messages, tolerance, first, limited):
         node.take(message)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cut=st.integers(0, 750), place=st.integers(0, 749), value=st.integers(0, 255))
 @example(cut=0, place=0, value=0)
 def test_bytes_that_are_no_odometry_stop_the_robot(node, cut, place, value):
@@ -197,7 +197,7 @@ def test_bytes_that_are_no_odometry_stop_the_robot(node, cut, place, value):
 far = st.sampled_from([sign * 10.0**power for sign in (1, -1) for power in range(9)])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     place=st.tuples(far, far | st.just(0.0), st.floats(-4.0, 4.0)),
     tolerance=st.sampled_from([0.5, math.inf]),
@@ -312,7 +312,7 @@ def lists(values):
     return {name: v.tolist() if hasattr(v, "tolist") else v for name, v in values.items()}
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     sets=st.lists(changes, max_size=3),
     bad=st.dictionaries(

@@ -44,7 +44,7 @@ def message_of(poses: np.ndarray, frame: str = "odom", names: list[str] | None =
     return message
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     rows=st.lists(
         st.tuples(
@@ -62,7 +62,7 @@ def test_bytes_are_read_as_the_message_has_them(rows, frame, names):
     np.testing.assert_allclose(found.poses, poses, atol=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(cut=st.integers(0, 700), place=st.integers(0, 699), value=st.integers(0, 255))
 def test_damaged_bytes_are_refused_or_read_and_nothing_else(cut, place, value):
     raw = bytearray(serialize_message(message_of(LINE[:8], names=["odom", "a_longer_name"])))

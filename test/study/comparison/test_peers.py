@@ -151,7 +151,7 @@ finite = st.floats(-1e9, 1e9) | st.floats(-3.0, 3.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@hypothesis_settings(max_examples=25, deadline=None)
+@hypothesis_settings(max_examples=25)
 @given(
     settings=st.sampled_from([LIMITED, SETTINGS]),
     path=st.sampled_from(sorted(PATHS)),

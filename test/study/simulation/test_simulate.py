@@ -205,7 +205,7 @@ def test_a_lost_run_leaves_the_learner_of_the_others_alone(figure_eight, learnin
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of starts up to 1e308
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     start=st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3),
     arc_length=st.floats(-1e6, 1e6),

@@ -65,7 +65,7 @@ def test_every_run_is_in_the_order_that_is_documented(tmp_path):
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     combinations=st.integers(1, 9),
     paths=st.integers(1, 2),
@@ -293,7 +293,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, text):
         ),
     )
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_content_is_read_or_refused(tmp_path_factory, content):
     file = tmp_path_factory.mktemp("any") / "sweep.yaml"
     file.write_text(json.dumps(content) if content else "{}")
