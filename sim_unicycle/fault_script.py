@@ -5,8 +5,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
+import numpy as np
+
 from adp_path_follower.core.errors import FileError, SettingsError
 from adp_path_follower.core.files import read_yaml
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.settings.schema import (
     Value,
     build,
@@ -66,6 +69,16 @@ class FaultScript:
             changes = {name: value for entry in holding for name, value in entry.values.items()}
             self._known = settings, holding, update(settings, changes)
         return self._known[2]
+
+    def spans(self, end: float) -> FloatArray:
+        """Return from and until when [s] entries hold, before the end; shape (N, 2)."""
+        spans = []
+        for entry in self.entries:
+            begin = entry.at
+            while begin < end:
+                spans.append((begin, min(begin + entry.duration, end)))
+                begin += entry.every  # infinite for an entry that does not begin again
+        return np.array(spans).reshape(-1, 2)
 
     def changes_messages(self) -> str:
         """Return a parameter of the script that is about messages, empty if there is none."""

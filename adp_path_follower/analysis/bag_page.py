@@ -7,10 +7,12 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from adp_path_follower.analysis.bag_analysis import NOT_MEASURED, BagAnalysis, number
 from adp_path_follower.analysis.metrics import METRICS, Metric, Requirement
 from adp_path_follower.analysis.run_charts import LEARNED
+from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.criteria import OFF_PATH, SETTLED
 from adp_path_follower.drawing.charts import Charts, Track
 from adp_path_follower.drawing.figure_style import color
@@ -72,9 +74,12 @@ _COLOR_CAPTION = (
     "Its colour is the distance from the path, and stays the same beyond the end of the scale."
 )
 _COSTS = ("cost", "cost_ratio", "bellman_error_rms")
+_ON_ANY_PATH = ("command_", "latency_")  # how metrics begin that no path changes
+_SAME_PATH = 0.05  # [m] between the points of two lines, beyond their spacing
 _COST_OF = ("state_cost", "input_cost", "desired_speed", "target_gain")
 
 
+_WHY = "“How far to trust the numbers” says why"
 _EARLY, _LATE = 0.5, 0.25  # [s] at the beginning, share of the run at the end
 _MOST = 1e9  # a Bellman error beyond it is that of a damaged message
 
@@ -165,10 +170,25 @@ def _best(metric: Metric, analyses: Sequence[BagAnalysis]) -> int:
     # Costs are compared where all bags name the same Q, R and speed along the path.
     asked = {tuple(item.settings.get(name, "") for name in _COST_OF) for item in analyses}
     comparable = metric.name not in _COSTS or len(asked) == 1
+    comparable &= metric.name.startswith(_ON_ANY_PATH) or _on_one_path(analyses)
     doubted = any(analysis.trust.doubt(metric.name) for analysis in analyses)
     if not metric.better or doubted or not comparable or np.isfinite(values).sum() < 2:
         return -1
     return int(np.nanargmin(values) if metric.better == "low" else np.nanargmax(values))
+
+
+def _on_one_path(analyses: Sequence[BagAnalysis]) -> bool:
+    """Return whether all bags have the same path, within the spacing of the points kept."""
+    lines = [analysis.charts.track.path for analysis in analyses]
+    first, *others = [line[np.isfinite(line).all(axis=1)] for line in lines]
+
+    def near(line: FloatArray, other: FloatArray) -> bool:
+        if not (len(line) and len(other)):
+            return len(line) == len(other)
+        spacing = np.median(np.hypot(*np.diff(other, axis=0).T)) if len(other) > 1 else 0.0
+        return bool(cKDTree(other).query(line)[0].max() <= spacing + _SAME_PATH)
+
+    return all(near(first, line) and near(line, first) for line in others)
 
 
 def _settings(analyses: Sequence[BagAnalysis]) -> list[tuple[str, list[str], bool]]:
@@ -193,7 +213,7 @@ def _headline(analysis: BagAnalysis) -> Headline:
     if not analysis.trust.compared:
         sentences = [f"{number(metrics['distance'], 4)} m were driven, not compared with the path"]
     if math.isfinite(distance):
-        sentences.append(f"{_millimetres(distance)} from it (root mean square, when settled)")
+        sentences.append(f"{_millimetres(distance)} from it (root mean square, after the start)")
     if math.isfinite(metrics["cost_ratio"]):
         percent = 100.0 * (metrics["cost_ratio"] - 1.0)
         sentences.append(f"at {percent:.3g} % more than the least possible cost")
@@ -204,7 +224,7 @@ def _headline(analysis: BagAnalysis) -> Headline:
         (
             "distance from the path",
             _millimetres(distance),
-            f"at most {_millimetres(farthest)}; root mean square, when settled",
+            f"at most {_millimetres(farthest)}; root mean square, after the start",
         ),
         (
             "settled after",
@@ -230,7 +250,8 @@ def _path_of(track: Track) -> str:
 def _cost_card(ratio: float, cost: float) -> Card:
     if math.isfinite(ratio):
         return "J / J*", number(ratio, 5), "cost beside the least possible; 1 is the best"
-    return "cost J", number(cost, 5), "no optimum to compare it with"
+    known = math.isfinite(cost)
+    return "cost J", number(cost, 5), "no optimum to compare it with" if known else _WHY
 
 
 def _learned_card(analysis: BagAnalysis) -> Card:

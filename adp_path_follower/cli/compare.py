@@ -131,7 +131,7 @@ def compare(
                 click.echo(f"adp: {problem}", err=True)
             # After each path, so that what was found stays if a later one is interrupted.
             figures = directory if len(paths) == 1 else directory / f"path_{len(found)}"
-            _write(found, settings, directory, figures)
+            _write(found, [settings, simulator], directory, figures)
     click.echo(f"In {directory}: compare.txt, compare.json, race.html and the figures")
     for page in sorted(directory.rglob("race.html")):
         click.echo(page.resolve().as_uri())
@@ -206,7 +206,7 @@ def _ratio(value: float) -> str:
 
 
 def _write(
-    found: list[Comparison], settings: Settings, directory: FilePath, figures: FilePath
+    found: list[Comparison], settings: list[object], directory: FilePath, figures: FilePath
 ) -> None:
     """Write table and numbers of all paths so far, and the figures of the last one."""
     from adp_path_follower.study.comparison.figures import draw_comparison
@@ -222,7 +222,7 @@ def _write(
             _write_race(found[-1], settings, figures / "race.html")
 
 
-def _write_race(found: Comparison, settings: Settings, file: FilePath) -> None:
+def _write_race(found: Comparison, settings: list[object], file: FilePath) -> None:
     """Write the page on which all controllers start together."""
     ranked = sorted(found.outcomes, key=_rank)
     rows = []
@@ -233,7 +233,7 @@ def _write_race(found: Comparison, settings: Settings, file: FilePath) -> None:
         f"Every controller drives one lap of {found.path_name} from the paper's start, with the "
         "same target, cost and limits. The table compares J with the offline optimum J* from "
         f"{len(found.starts)} start{'s' * (len(found.starts) > 1)}, and the distance from the "
-        "path over the lap after 10 s."
+        "path over the lap after 10 s. The lowest curve of the cost is the best."
     )
     runs = [item.lap for item in ranked]
     title = f"Race of {len(runs)} controllers on {found.path_name}"

@@ -135,7 +135,7 @@ def simulate(
     if npz_file is not None and result.trajectories is not None:
         outputs.write_npz(npz_file, {"starts": result.starts, **vars(result.trajectories)})
     if page is not None:
-        _write_page(result, path, settings, path_name, page)
+        _write_page(result, path, settings, simulator, path_name, page)
     failed = int(result.failed.sum())
     if failed and not allow_failures:
         click.echo(f"adp: {failed} of {len(errors)} runs left the path", err=True)
@@ -143,7 +143,12 @@ def simulate(
 
 
 def _write_page(
-    result: SimulationResult, path: Path, settings: Settings, path_name: str, file: FilePath
+    result: SimulationResult,
+    path: Path,
+    settings: Settings,
+    simulator: SimulatorSettings,
+    path_name: str,
+    file: FilePath,
 ) -> None:
     """Write the page of the first runs, and say where it is."""
     from adp_path_follower.study.simulation.shown import shown_run  # a third of the start-up
@@ -151,8 +156,10 @@ def _write_page(
     count, trajectories = min(len(result.starts), _RUNS_DRAWN), result.trajectories
     assert trajectories is not None  # recorded for it
     names = [f"from ({s:.3g}, {y:.3g}, {theta:.3g})" for s, y, theta in result.starts[:count]]
+    faults = without_nodes(simulator)[1]
     runs = [
-        shown_run(name, path, settings, trajectories, run, count) for run, name in enumerate(names)
+        shown_run(name, path, settings, trajectories, run, count, faults)
+        for run, name in enumerate(names)
     ]
     ends = np.linalg.norm(result.final_error[:count], axis=1)
     columns = ("start (s, y, θ)", "J", "settled in [s]", "|e| at the end")
@@ -169,7 +176,8 @@ def _write_page(
         about += f" The first {count} of {len(result.starts)} runs are drawn."
     title = f"Simulated run{'s' * (count > 1)} on {path_name}"
     table = Table(columns, rows)
-    write_runs_page(file, title, about, "adp simulate", settings, _cards(result), runs, table)
+    given: list[object] = [settings, simulator]
+    write_runs_page(file, title, about, "adp simulate", given, _cards(result), runs, table)
     click.echo(file.resolve().as_uri())
 
 

@@ -91,7 +91,7 @@ class Charts:
     track: Track
     panels: dict[str, tuple[Panel, ...]]
     histograms: dict[str, Histogram] = field(default_factory=dict)
-    # When the robot was stopped or at fault: state -> from and until [s], shape (N, 2).
+    # When the robot was stopped, at fault or disturbed: state -> from and until [s], shape (N, 2).
     halts: dict[str, FloatArray] = field(default_factory=dict)
     # The policy at its first step and when it has been learned for a moment; empty if unknown.
     steering: tuple[SteeringMap, ...] = ()

@@ -5,6 +5,7 @@ import datetime
 import functools
 import gzip
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -12,7 +13,6 @@ from typing import Any
 
 from adp_path_follower import __version__
 from adp_path_follower.core.files import write_output
-from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build, flatten, yaml_text
 from adp_path_follower.drawing.charts import ShownRun
 from adp_path_follower.drawing.figure_style import ON_DARK, color
@@ -72,25 +72,34 @@ def write_runs_page(
     title: str,
     about: str,
     maker: str,
-    settings: Settings,
+    settings: Sequence[object],
     cards: Sequence[Card],
     runs: Sequence[ShownRun],
     table: Table,
 ) -> None:
-    """Write the page of runs that start together; raise AdpError if it cannot be written."""
+    """Write the page of runs that start together, with all settings that are not the defaults.
+
+    Raises AdpError if it cannot be written.
+    """
     require("the page", "report")
     from adp_path_follower.drawing.page_figures import page_data
 
     several = len(runs) > 1
+    disturbed = any(run.charts.halts for run in runs)
+    panels = [panel for run in runs for panel in run.charts.panels.get("commands", ())]
+    limited = any(math.isfinite(limit) for panel in panels for limit in panel.limits)
     arrows = "Every arrow is a robot" if several else "The arrow is the robot"
     captions = (
         (
             *("track", "The race" if several else "The drive"),
             f"{arrows} at the time of the slider below, which “follow” keeps in sight.",
         ),
-        ("distance", "Distance from the path", "Positive to the left of the path."),
-        ("cost", "Cost so far", "∫ eᵀQe + uᵀRu from the start: the lowest curve is the best."),
-        ("commands", "Commands", "Each holds until the next; dashed lines are limits."),
+        (
+            *("distance", "Distance from the path"),
+            "Positive to the left of the path." + " The fault script acts in grey." * disturbed,
+        ),
+        ("cost", "Cost so far", "∫ eᵀQe + uᵀRu from the start."),
+        ("commands", "Commands", "Each holds until the next" + "; dashed: limits" * limited + "."),
     )
     write_page(
         file,
@@ -98,7 +107,7 @@ def write_runs_page(
         page_data(runs),
         title=title,
         about=about,
-        settings=_changed(settings),
+        settings=[text for group in settings for text in _changed(group)],
         maker=maker,
         headline=cards,
         names=[(run.name, color(index)) for index, run in enumerate(runs)],
@@ -115,9 +124,9 @@ def _library() -> str:
     return _packed(get_plotlyjs())
 
 
-def _changed(settings: Settings) -> list[str]:
+def _changed(settings: object) -> list[str]:
     """Return name and value of the settings that are not the defaults."""
-    usual = flatten(build(Settings, {}))
+    usual = flatten(build(type(settings), {}))
     values = flatten(settings).items()
     return [f"{name} {yaml_text(value)}" for name, value in values if value != usual[name]]
 

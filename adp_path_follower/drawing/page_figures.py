@@ -247,14 +247,15 @@ def _suffix(row: int) -> str:
 
 
 def _shade(figure: go.Figure, runs: Sequence[ShownRun]) -> None:
-    """Shade the times at which a robot was stopped or at fault."""
-    for state, spans in [item for run in runs for item in run.charts.halts.items()]:
-        for begin, end in spans.tolist():
-            figure.add_shape(
-                {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
-                | {"x0": begin, "x1": end, "line": {"width": 0}, "name": state}
-                | {"fillcolor": _HALTS.get(state, "rgba(128,128,128,0.18)")}
-            )
+    """Shade the times at which a robot was stopped, at fault or disturbed; once for all runs."""
+    halts = [item for run in runs for item in run.charts.halts.items()]
+    spans = dict.fromkeys((state, *span) for state, found in halts for span in found.tolist())
+    for state, begin, end in spans:
+        figure.add_shape(
+            {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
+            | {"x0": begin, "x1": end, "line": {"width": 0}, "name": state}
+            | {"fillcolor": _HALTS.get(state, "rgba(128,128,128,0.18)")}
+        )
 
 
 def _span(runs: Sequence[ShownRun]) -> list[float]:
@@ -385,6 +386,7 @@ def _events(runs: Sequence[ShownRun]) -> go.Figure:
             },
             name=_short(run.name),
             hovertemplate="%{x:.2f} s: %{text}<extra></extra>",
+            cliponaxis=False,  # the first and the last are at the edge of a narrow figure
         )
     figure.update_yaxes(  # all kinds, so that figures of several reports can be compared
         categoryorder="array",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,7 @@ from bag_messages import drive_on_line, learner_run, text, twist, write_bag
 pytest.importorskip("plotly", reason="the report needs the extra 'report'")
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
-from adp_path_follower.analysis.bag_analysis import analyse_bag
+from adp_path_follower.analysis.bag_analysis import BagAnalysis, analyse_bag
 from adp_path_follower.analysis.bag_page import write_report
 from adp_path_follower.analysis.metrics import parse_requirement
 from adp_path_follower.core.path.library import named_path
@@ -26,6 +27,7 @@ from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.schema import build
 from adp_path_follower.drawing.charts import KINDS, SteeringMap
 from adp_path_follower.drawing.page import Table, write_runs_page
+from adp_path_follower.drawing.page_figures import page_data
 from adp_path_follower.study.simulation.shown import shown_run
 from adp_path_follower.study.simulation.simulate import simulate
 from sim_unicycle.fault_script import without_nodes
@@ -236,6 +238,32 @@ def test_only_a_target_that_was_recorded_is_drawn(visits):
     assert sorted(names) == ["robot", "robot", "target"]
 
 
+def test_numbers_of_different_paths_get_no_star(tmp_path):
+    """How often commands came can still be compared, but not how far from the path they led."""
+    write_bag(tmp_path / "near", drive_on_line(lambda time: 0.1, commands=twist, rate=20))
+    write_bag(tmp_path / "far", drive_on_line(lambda time: 0.2, commands=twist, rate=10))
+    near, far = (
+        analyse_bag(tmp_path / name, {}, 2, tmp_path / f"{name}.tum") for name in ("near", "far")
+    )
+
+    def starred(*analyses: BagAnalysis) -> set[str]:
+        write_report(analyses, [], tmp_path / "page.html")
+        page = (tmp_path / "page.html").read_text(encoding="utf-8")
+        rows = page[page.index('id="metrics"') :].split("<tr>")[2:]
+        cells = [row[row.index("<code>") : row.index("</code>")] for row in rows if "★" in row]
+        return {re.sub("<[^>]*>", "", cell) for cell in cells}
+
+    same = starred(near, far)
+    assert {"cross_track_rms", "command_rate"} <= same
+    charts = far.charts
+    turned = replace(charts.track, path=charts.track.path @ np.array([[0.8, 0.6], [-0.6, 0.8]]))
+    other = starred(near, replace(far, charts=replace(charts, track=turned)))
+    assert other == {name for name in same if name.startswith(("command_", "latency_"))}
+    # A line that keeps other points of the same path is the same path.
+    thinned = replace(charts.track, path=charts.track.path[::3])
+    assert starred(near, replace(far, charts=replace(charts, track=thinned))) == same
+
+
 def test_play_runs_and_stops(pages, browser):
     visit = open_page(browser, pages["one"])
     visit.page.select_option("#speed", "1")  # for 12 s: the machine may be busy
@@ -307,7 +335,7 @@ def test_simulated_runs_start_together_and_their_table_sorts(browser, tmp_path):
     file = tmp_path / "runs.html"
     table = Table(("start", "J"), rows)
     cards = (("cost J", "1.5", "the least"),)
-    write_runs_page(file, "Two runs", "About.", "adp", settings, cards, runs, table)
+    write_runs_page(file, "Two runs", "About.", "adp", [settings], cards, runs, table)
     visit = open_page(browser, file, "narrow")
     named = 'Settings: the defaults but learning false, wide_region "none".'
     about = visit.page.inner_text(".about")
@@ -340,7 +368,7 @@ def test_six_runs_have_their_names_and_their_settings_out_of_the_way(browser, tm
         for run in range(6)
     ]
     file = tmp_path / "runs.html"
-    write_runs_page(file, "Six", "About.", "adp", settings, (), runs, Table(("start",), ()))
+    write_runs_page(file, "Six", "About.", "adp", [settings], (), runs, Table(("start",), ()))
     visit = open_page(browser, file, "narrow")
     shown = "document.getElementById('figure-cost')._fullLayout"
     assert visit.page.evaluate(f"{shown}.yaxis._length") > 140
@@ -358,6 +386,32 @@ def test_the_cost_so_far_is_that_of_a_pushed_robot(tmp_path):
     result = simulate(settings, path, duration=7.0, plant=plant, faults=faults, record=True)
     run = shown_run("pushed", path, settings, result.trajectories)
     assert run.charts.panels["cost"][0].lines[0].values[-1] == result.cost[0]
+
+
+def test_a_script_shades_the_times_at_which_it_acts(tmp_path):
+    """Once for all runs; the page names the script beside the settings."""
+    entries = "{at: 1, for: 0.3, push: [0, 1, 0]}, {at: 0.5, for: 0.2, every: 1, linear_slip: 0.1}"
+    (tmp_path / "script.yaml").write_text(f"faults: [{entries}]", encoding="utf-8")
+    robot = build(SimulatorSettings, {"fault_script": str(tmp_path / "script.yaml")})
+    settings, path = build(Settings, {"learning": False, "wide_region": "none"}), named_path("line")
+    plant, faults = without_nodes(robot)
+    starts = np.array([[0.0, 0.1, 0.0], [0.0, 0.2, 0.0]])
+    result = simulate(settings, path, starts, duration=3.0, plant=plant, faults=faults, record=True)
+    runs = [
+        shown_run(name, path, settings, result.trajectories, run, 2, faults)
+        for run, name in enumerate(("left", "farther"))
+    ]
+    shaded = runs[0].charts.halts["disturbed"]
+    for time in np.arange(0.005, 3.0, 0.01):
+        acts = any(begin <= time < end for begin, end in shaded)
+        assert acts == (faults.settings_at(robot, time) != robot)
+    drawn = page_data(runs)["figures"]["cost"]["layout"]["shapes"]
+    assert sum(shape.get("name") == "disturbed" for shape in drawn) == len(shaded) == 4
+    file = tmp_path / "page.html"
+    write_runs_page(file, "Two", "", "adp", [settings, robot], (), runs, Table(("start",), ()))
+    page = file.read_text(encoding="utf-8")
+    assert "The fault script acts in grey." in page
+    assert "fault_script" in page
 
 
 def test_the_map_follows_the_robots(pages, browser):

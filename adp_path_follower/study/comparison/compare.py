@@ -177,7 +177,7 @@ def compare(
         )
         many = run(starts[known], duration=duration, record_weights=False, progress=part(2 * index))
         single = run(duration=lap, progress=part(2 * index + 1))
-        outcomes.append(_outcome(item, path, known, many, single, among))
+        outcomes.append(_outcome(item, path, known, many, single, among, faults))
         for own, motions in zip(ways, motions_of(many.trajectories, known), strict=True):
             own += motions
     pushed = any(robot.push) or (faults is not None and faults.entries)  # which may help
@@ -270,6 +270,7 @@ def _outcome(
     many: SimulationResult,
     single: SimulationResult,
     among: int,
+    faults: FaultScript | None,
 ) -> Outcome:
     """Return how a controller did from the known starts (B,) and on a lap, without J/J*."""
 
@@ -297,5 +298,5 @@ def _outcome(
         lap_time=lap.time[counted],
         cross_track=project(path, lap.pose[0]).cross_track[counted],
         step_time=single.step_time,
-        lap=shown_run(item.name, path, item.settings, lap, among=among),
+        lap=shown_run(item.name, path, item.settings, lap, among=among, faults=faults),
     )

@@ -16,13 +16,20 @@ from adp_path_follower.drawing.charts import (
     track_of,
 )
 from adp_path_follower.study.simulation.trajectories import Trajectories
+from sim_unicycle.fault_script import FaultScript
 
 _BUCKETS = 2500  # of a curve, shared by the runs
 _POINTS, _SAMPLES = 500, 6000  # of a track and of a motion, likewise
 
 
 def shown_run(
-    name: str, path: Path, settings: Settings, found: Trajectories, run: int = 0, among: int = 1
+    name: str,
+    path: Path,
+    settings: Settings,
+    found: Trajectories,
+    run: int = 0,
+    among: int = 1,
+    faults: FaultScript | None = None,
 ) -> ShownRun:
     """Return a run of simulated ones as a page shows it, `among` so many."""
     time, pose, beside = found.time, found.pose[run], project(path, found.pose[run])
@@ -46,4 +53,5 @@ def shown_run(
         points=max(200, _POINTS // among),
         samples=max(500, _SAMPLES // among),
     )
-    return ShownRun(name, Charts(track, panels), ())
+    halts = {"disturbed": faults.spans(float(time[-1]))} if faults and faults.entries else {}
+    return ShownRun(name, Charts(track, panels, halts=halts), ())

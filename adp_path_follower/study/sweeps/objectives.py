@@ -21,18 +21,16 @@ def _rms(values: FloatArray) -> float:
 class Objective:
     """A number that is to be small."""
 
-    meaning: str  # in words
+    meaning: str  # in words, where J* is known of all runs
     unit: str  # unit of the number
     column: str  # of all runs with the same settings; "cost" is J/J*, or J if J* is not known
     reduce: Callable[[FloatArray], float]  # makes one number of the column
 
 
 OBJECTIVES = {  # by the names that files give them
-    "cost": Objective(
-        "mean J/J* of the runs, or mean J where J* is not known of all", "", "cost", np.mean
-    ),
+    "cost": Objective("mean J/J* of the runs", "", "cost", np.mean),
     "worst_case": Objective(
-        "greatest J/J* (or J) of any run: over starts, paths, robots and noise", "", "cost", np.max
+        "greatest J/J* of any run: over starts, paths, robots and noise", "", "cost", np.max
     ),
     "effort": Objective("mean ∫ uᵀRu of the runs", "", "effort", np.mean),
     "cross_track": Objective(

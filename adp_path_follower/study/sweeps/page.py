@@ -29,7 +29,7 @@ _HEIGHT = 420  # [px]
 
 def write_sweep_page(found: Results, title: str, file: FilePath) -> None:
     """Write the page of a sweep or a tuning; raise FileError if it cannot be written."""
-    figures = sweep_figures(found)
+    figures, asked = sweep_figures(found), found.request.objectives
     write_page(
         file,
         "sweep",
@@ -38,7 +38,7 @@ def write_sweep_page(found: Results, title: str, file: FilePath) -> None:
         found=found,
         conditions=found.request.conditions,
         names=[item.name for item in found.request.variations],
-        objectives=[(name, OBJECTIVES[name]) for name in found.request.objectives],
+        objectives=[(name, _words(found, name), OBJECTIVES[name].unit) for name in asked],
         rows=[_row(found, trial) for trial in found.stable[:_ROWS]],
         front=[_row(found, trial) for trial in found.front[:_ROWS]],
         captions=[(key, title, caption) for key, (title, caption, _) in figures.items()],
@@ -61,7 +61,7 @@ def sweep_figures(found: Results) -> dict[str, tuple[str, str, dict[str, Any]]]:
         figures["pareto"] = (
             "Pareto front",
             f"Each point is a combination of settings that is stable in all its runs: {first} "
-            f"({OBJECTIVES[first].meaning}) against {second} ({OBJECTIVES[second].meaning}). No "
+            f"({_words(found, first)}) against {second} ({_words(found, second)}). No "
             "point is better in all objectives than a point of the front.",
             _pareto(found),
         )
@@ -95,8 +95,14 @@ def _measure(found: Results) -> tuple[str, FloatArray, str]:
             shares,
             "Share of runs that are unstable, as no combination is stable in all its runs",
         )
-    caption = f"{name} ({OBJECTIVES[name].meaning}) of the combinations that are stable in all runs"
+    caption = f"{name} ({_words(found, name)}) of the combinations that are stable in all runs"
     return name, np.where(shares == 0.0, _objective(found.trials, name), math.nan), caption
+
+
+def _words(found: Results, name: str) -> str:
+    """Return an objective in words: costs are J where J* is not known of all runs."""
+    words = OBJECTIVES[name].meaning
+    return words if found.relative else words.replace("J/J*", "J")
 
 
 def _objective(trials: Sequence[FrozenTrial], name: str) -> FloatArray:

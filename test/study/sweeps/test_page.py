@@ -141,6 +141,17 @@ def test_a_run_that_never_settles_has_a_dash(sweep, tmp_path):
     assert "e+09" not in page
 
 
+def test_it_names_the_cost_that_it_shows(sweep, tmp_path):
+    """Costs are J/J*, or J where an optimum is not known; the page says which of both."""
+    unknown = [run | {"optimal_cost": np.full(4, np.nan)} for run in runs_of(sweep, ())]
+    for runs, cost in ((runs_of(sweep, ()), "J/J*"), (unknown, "J")):
+        found = results(sweep_study(sweep, map(score_of_runs, runs)), sweep)
+        write_sweep_page(found, "x", tmp_path / "report.html")
+        page = (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert f"By cost (mean {cost} of the runs)" in page
+        assert page.count(f"(mean {cost} of the runs)") >= 4
+
+
 def test_where_nothing_is_stable_the_maps_show_how_much_is_not(sweep):
     found = results_of(sweep, range(96))
     figures = drawn(found)
