@@ -164,12 +164,13 @@ def _write_page(
     ends = np.linalg.norm(result.final_error[:count], axis=1)
     columns = ("start (s, y, θ)", "J", "settled in [s]", "|e| at the end")
     numbers = zip(result.cost, result.settling_time, ends, strict=False)
+
+    def cell(value: float, otherwise: str = "–") -> tuple[str, float]:
+        return f"{value:.6g}" if np.isfinite(value) else otherwise, float(value)
+
     rows = tuple(
-        (
-            (name, np.nan),
-            *((f"{value:.6g}" if np.isfinite(value) else "–", float(value)) for value in values),
-        )
-        for name, values in zip(names, numbers, strict=False)
+        ((name, np.nan), cell(cost), cell(time), cell(end, "left the path"))
+        for name, (cost, time, end) in zip(names, numbers, strict=False)
     )
     about = "The virtual target begins at the same place for every run; θ is in radians."
     if count < len(result.starts):
@@ -220,7 +221,7 @@ def _simulate_route(
         (s, y, theta), end = run.start, ", ".join(f"{value:.3f}" for value in run.final_pose)
         goal = f"{run.goal_time:8.2f}" if np.isfinite(run.goal_time) else "       –"
         times = f"{goal}  {run.reversed_for:13.2f}"
-        click.echo(f"{s:8.3f}{y:8.3f}{theta:9.3f}{run.cost:14.6f}  {times}   ({end})")
+        click.echo(f"{s:8.3f} {y:7.3f} {theta:8.3f} {run.cost:13.6f}  {times}   ({end})")
     if json_file is not None:
         outputs.write_json(json_file, {"runs": [vars(run) for run in runs]})
 
@@ -267,7 +268,7 @@ def _table(result: SimulationResult) -> str:
         end = np.linalg.norm(result.final_error[run])
         end_text = "left the path" if result.failed[run] else f"{end:.3e}"
         lines.append(
-            f"{s:8.3f}{y:8.3f}{theta:9.3f}{result.cost[run]:14.6f}  {settled_text}   {end_text}"
+            f"{s:8.3f} {y:7.3f} {theta:8.3f} {result.cost[run]:13.6f}  {settled_text}   {end_text}"
         )
     if count > _ROWS_SHOWN:
         lines.append(f"… and {count - _ROWS_SHOWN} more")

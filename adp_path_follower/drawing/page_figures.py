@@ -254,7 +254,7 @@ def _shade(figure: go.Figure, runs: Sequence[ShownRun]) -> None:
         figure.add_shape(
             {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
             | {"x0": begin, "x1": end, "line": {"width": 0}, "name": state}
-            | {"fillcolor": _HALTS.get(state, "rgba(128,128,128,0.18)")}
+            | {"fillcolor": _HALTS.get(state, "rgba(128,128,128,0.3)")}
         )
 
 

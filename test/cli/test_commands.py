@@ -344,6 +344,7 @@ def test_a_run_that_leaves_the_path_is_exit_code_1_unless_that_is_allowed(tmp_pa
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     for card in ('–</span><span class="detail">∫ eᵀQe + uᵀRu<', "1 of 1</span>"):
         assert f'<span class="number">{card}' in page
+    assert re.search(r'<td class="value"[^>]*>left the path</td>', page)
 
 
 @pytest.mark.parametrize(
