@@ -25,6 +25,7 @@ _FIELDS = {field.name: field for field in setting_fields(SimulatorSettings)}
 _CHANGEABLE = tuple(name for name, field in _FIELDS.items() if not field.spec.read_only)
 _TIMES = ("at", "for", "every")
 _ROUNDING = 1e-9  # [s]
+_SHORT = 0.002  # of a run
 
 
 @dataclass(frozen=True)
@@ -71,13 +72,18 @@ class FaultScript:
         return self._known[2]
 
     def spans(self, end: float) -> FloatArray:
-        """Return from and until when [s] entries hold, before the end; shape (N, 2)."""
+        """Return from and until when [s] entries hold, before the end; shape (N, 2).
+
+        Pauses that are too short for a picture of all of it are left out.
+        """
         spans = []
         for entry in self.entries:
-            begin = entry.at
+            begin, lasts, again = entry.at, entry.duration, entry.every
+            if again - lasts < _SHORT * end:
+                lasts = again = math.inf
             while begin < end:
-                spans.append((begin, min(begin + entry.duration, end)))
-                begin += entry.every  # infinite for an entry that does not begin again
+                spans.append((begin, min(begin + lasts, end)))
+                begin += again  # infinite for an entry that does not begin again
         return np.array(spans).reshape(-1, 2)
 
     def changes_messages(self) -> str:

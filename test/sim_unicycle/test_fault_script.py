@@ -80,6 +80,14 @@ def test_entries_repeat_on_the_grid_of_steps(tmp_path_factory, at, duration, pau
     assert holds == (step >= at and (step - at) % every < duration)
 
 
+def test_pauses_that_no_picture_shows_are_left_out(tmp_path):
+    fast = {"at": 1.0, "for": 4e-7, "every": 1e-6, "linear_slip": 0.1}
+    slow = {"at": 0.5, "for": 1.0, "every": 2.0, "push": [0.0, 1.0, 0.0]}
+    spans = script_of(tmp_path, fast, slow).spans(300.0)
+    assert spans[0].tolist() == [1.0, 300.0]
+    assert spans[1:].tolist() == [[0.5 + k, 1.5 + k] for k in range(0, 300, 2)]
+
+
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
