@@ -27,7 +27,7 @@ demo: $(VENV)/ready  ## Drive the paper's figure eight with real ROS 2 nodes
 test: export PYTHONDONTWRITEBYTECODE :=
 test: $(VENV)/ready-test  ## Run all tests, those of real nodes too
 	$(BIN)/pytest -m "not nodes" -n auto --dist loadfile --no-loadscope-reorder
-	$(BIN)/pytest -m nodes -n 4 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -m nodes -n 6 --dist loadfile --no-loadscope-reorder
 
 lint: $(VENV)/ready-lint  ## Check style and types
 	$(BIN)/ruff format --check .
