@@ -79,8 +79,8 @@ _STEERING = 3.0  # [1/s] of the error to the best heading there; more would ampl
 # the heading of the half-angle form has a kink there, in whose notch robots would stay for ever.
 _NOTCH = 0.25
 _SPACING = 2.0 * math.pi / len(HEADINGS)  # [rad]
-# The coming bend is that of the piece of path which k1 adds in so many [s], for distances ahead
-# and, by so much of them, aside; of so many [m] at most.
+# The coming bend is that of the piece of path which k1 adds in so many [s], for a distance ahead
+# and so much of that aside; of so many [m] at most.
 _COMING_TIME, _ASIDE, _MOST_COMING = 3.0, 0.3, 3.0
 _PLACES = np.linspace(0.0, 1.0, 9)  # on it, as shares, and their weights in the mean
 _WEIGHTS = np.array([0.5, *[1.0] * 7, 0.5]) / 8.0
@@ -256,7 +256,7 @@ class WideRegion:
 
         """
         s, y = zeta[..., 0], zeta[..., 1]
-        distance = np.maximum(s, 0.0) + _ASIDE * np.abs(y)
+        distance = np.maximum(s + _ASIDE * np.abs(y), 0.0)
         covered = _COMING_TIME * self._settings.target.target_gain * distance
         covered = np.minimum(covered, _MOST_COMING)
         places = np.asarray(arc_length)[..., None] + covered[..., None] * _PLACES
