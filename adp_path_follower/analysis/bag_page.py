@@ -77,8 +77,6 @@ _COSTS = ("cost", "cost_ratio", "bellman_error_rms")
 _ON_ANY_PATH = ("command_", "latency_")  # how metrics begin that no path changes
 _SAME_PATH = 0.05  # [m] between the points of two lines, beyond their spacing
 _COST_OF = ("state_cost", "input_cost", "desired_speed", "target_gain")
-
-
 _WHY = "“How far to trust the numbers” says why"
 _EARLY, _LATE = 0.5, 0.25  # [s] at the beginning, share of the run at the end
 _MOST = 1e9  # a Bellman error beyond it is that of a damaged message
@@ -154,23 +152,23 @@ def _details(key: str, bags: Sequence[Charts]) -> list[str]:
 
 def _rows(analyses: Sequence[BagAnalysis]) -> list[tuple[Metric, list[tuple[str, bool]]]]:
     """Return the table of metrics: a cell for each bag, and whether it is the best."""
-    rows = []
+    rows, on_one_path = [], _on_one_path(analyses)
     for metric in METRICS:
         texts = [number(analysis.metrics[metric.name], 5) for analysis in analyses]
-        best = _best(metric, analyses)
+        best = _best(metric, analyses, on_one_path)
         # No star where two share the best value as it is printed.
         stars = [place == best and texts.count(text) == 1 for place, text in enumerate(texts)]
         rows.append((metric, list(zip(texts, stars, strict=True))))
     return rows
 
 
-def _best(metric: Metric, analyses: Sequence[BagAnalysis]) -> int:
+def _best(metric: Metric, analyses: Sequence[BagAnalysis], on_one_path: bool) -> int:
     """Return which bag has the best value, -1 where none has or they cannot be compared."""
     values = np.array([analysis.metrics[metric.name] for analysis in analyses])
     # Costs are compared where all bags name the same Q, R and speed along the path.
     asked = {tuple(item.settings.get(name, "") for name in _COST_OF) for item in analyses}
     comparable = metric.name not in _COSTS or len(asked) == 1
-    comparable &= metric.name.startswith(_ON_ANY_PATH) or _on_one_path(analyses)
+    comparable &= metric.name.startswith(_ON_ANY_PATH) or on_one_path
     doubted = any(analysis.trust.doubt(metric.name) for analysis in analyses)
     if not metric.better or doubted or not comparable or np.isfinite(values).sum() < 2:
         return -1

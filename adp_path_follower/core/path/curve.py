@@ -171,7 +171,7 @@ class Path:
         return PathFrame(components(x, y, heading), curvature)
 
     def _frame_at(self, position: float) -> PathFrame:
-        """Return the same of a single place, to the last bit, in half the time."""
+        """Return the frame at a single place [m], in half the time that one of many takes."""
         inside = min(max(position, 0.0), self.length)
         if self.closed:
             inside = float(position - self.length * np.floor(position / self.length))

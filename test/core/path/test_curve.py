@@ -140,6 +140,20 @@ def test_frames_of_many_arc_lengths_are_those_of_each(name, places):
         assert abs(frames.curvature[index] - single.curvature) < 1e-12
 
 
+@pytest.mark.parametrize("name", sorted(PATHS))
+def test_a_single_place_is_that_of_many_also_where_there_is_none(name):
+    path = PATHS[name]
+    places = np.random.default_rng(0).uniform(-0.5, 1.5, 500) * path.length
+    places = np.append(places, [0.0, -0.0, path.length, 1e300, -math.inf, math.inf, math.nan])
+    with np.errstate(invalid="ignore"):
+        frames = path.frame(places)
+        for place, pose, curvature in zip(places, frames.pose, frames.curvature, strict=True):
+            single = path.frame(place)
+            np.testing.assert_array_equal(single.pose, pose)
+            # numpy's power of many numbers is another one in the last bit.
+            np.testing.assert_allclose(single.curvature, curvature, rtol=1e-15)
+
+
 @settings(max_examples=60)
 @given(
     name=st.sampled_from([name for name in sorted(PATHS) if PATHS[name].closed]),

@@ -29,7 +29,7 @@ def tuning(paper):
 
 
 def test_cost_of_the_papers_run(tuning, figure_eight):
-    """Without learning; test_reproduce.py holds the costs with it."""
+    """Without learning; test_paper.py holds the costs with it."""
     result = simulate(tuning, figure_eight, duration=40.0, learning="frozen")
     assert result.cost.shape == (1,)
     assert float(result.cost[0]) == pytest.approx(0.6285, rel=5e-3)
