@@ -62,6 +62,11 @@ def numbers(array: FloatArray) -> tuple[FloatArray, ...]:
     return tuple(array.tolist()) if array.ndim == 1 else unpacked(array)
 
 
+def number(array: Any) -> Any:
+    """Return an array, or the single number of one without axes as Python's float."""
+    return array if np.ndim(array) else float(array)
+
+
 def _of_one_or_many(
     one: Callable[[float], float], many: Callable[[FloatArray], FloatArray]
 ) -> Callable[[Number], FloatArray]:
@@ -81,10 +86,17 @@ def _of_one_or_many(
 cos = _of_one_or_many(math.cos, np.cos)
 sin = _of_one_or_many(math.sin, np.sin)
 tanh = _of_one_or_many(math.tanh, np.tanh)
+log = _of_one_or_many(math.log, np.log)
+asinh = _of_one_or_many(math.asinh, np.arcsinh)
 # sin(x) / x: smooth through 0; numpy's is sin(pi x) / (pi x).
 sinc = _of_one_or_many(
     lambda x: math.sin(x) / x if x else 1.0, lambda x: np.sinc(np.asarray(x) / math.pi)
 )
+
+
+def hypot(first: Any, second: Any) -> Any:
+    """Return the length of a vector of two numbers, or of arrays of any shape."""
+    return math.hypot(first, second) if isinstance(first, float) else np.hypot(first, second)
 
 
 def clamped(value: Any, lowest: float, highest: float) -> Any:
@@ -99,6 +111,11 @@ def where(condition: Any, then: Any, otherwise: Any) -> Any:
     if isinstance(condition, np.ndarray):
         return np.where(condition, then, otherwise)
     return then if condition else otherwise
+
+
+def anywhere(condition: Any) -> bool:
+    """Return a condition, or whether that of an array is true somewhere."""
+    return bool(condition.any()) if isinstance(condition, np.ndarray) else condition
 
 
 def wrap_angle(angle: Number) -> FloatArray:

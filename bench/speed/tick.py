@@ -20,7 +20,7 @@ from timing import Row, arguments, in_turns, ratio, report
 
 from adp_path_follower.core.driving.driver import Driver
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.core.geometry import FloatArray, advance_pose
+from adp_path_follower.core.geometry import FloatArray, advance_pose, pose_in_frame
 from adp_path_follower.core.learning.bellman import excitation
 from adp_path_follower.core.learning.knot_model import KnotModel, fit
 from adp_path_follower.core.learning.paper_learner import SampledModel
@@ -33,6 +33,8 @@ from adp_path_follower.resources import config_file
 
 _PERIOD = 10_000_000  # [ns]
 _POSE = np.array([0.3, 0.5, 0.4])
+# Errors where the far policy drives, by the grid and by the best heading.
+_FAR = {"3 m off": np.array([-2.0, 2.5, 1.5]), "30 m off": np.array([-20.0, 22.0, 1.0])}
 _SOLVE = "numpy.linalg.solve, 9 × 9"
 _LAP, _TRACED = 1000, 2000  # ticks
 
@@ -41,13 +43,21 @@ class Drive:
     """A robot driven by its controller."""
 
     def __init__(
-        self, file: FilePath | None = None, *assignments: str, path: Path | None = None
+        self,
+        file: FilePath | None = None,
+        *assignments: str,
+        path: Path | None = None,
+        held_at: FloatArray | None = None,
     ) -> None:
-        """Take the settings of a parameter file, with some changed, and a path."""
+        """Take the settings of a parameter file, with some changed, a path, and an error to keep.
+
+        A robot that keeps an error [s, y, theta] is carried on beside its target.
+        """
         self.settings = load_settings(Settings, "path_follower", file, assignments=assignments)
         self._driver = Driver(self.settings)
         self._driver.follow(path or lissajous())
-        self._pose: FloatArray = _POSE
+        self._pose: FloatArray = _POSE if held_at is None else held_at
+        self._held_at = held_at
         self._time = 0
 
     @property
@@ -63,7 +73,10 @@ class Drive:
         output = self._driver.step(self._pose, self._time)
         elapsed = time.perf_counter() - start
         v, w = output.command.tolist()
-        self._pose = advance_pose(self._pose, v, w, 1e-9 * _PERIOD)
+        if self._held_at is None:
+            self._pose = advance_pose(self._pose, v, w, 1e-9 * _PERIOD)
+        else:
+            self._pose = pose_in_frame(self._held_at, output.target_pose)
         return 1e6 * elapsed
 
 
@@ -103,6 +116,7 @@ def consists_of() -> list[Row]:
         "paper: control tick": Drive(config_file("paper.yaml")),
         "default: control tick, not learning": Drive(None, "learning=false"),
         "default: control tick": Drive(),
+        **{f"default: control tick, {name}": Drive(held_at=place) for name, place in _FAR.items()},
     }
     times = in_turns({**parts(), **{name: drive.tick for name, drive in drives.items()}})
     return [

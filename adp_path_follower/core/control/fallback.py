@@ -131,6 +131,11 @@ class Fallback:
             doubtful &= lost > _MUCH_THE_SAME * running_cost + self._nothing
         return self._distrust.share(doubtful, dt)
 
+    def undoubted(self, shape: tuple[int, ...], dt: float) -> FloatArray:
+        """Return the doubt of policies of which none drives, shape (...)."""
+        trusted = np.zeros(shape, bool)[()]
+        return self._distrust.share(trusted, dt) if self._watches else np.zeros(shape)
+
     def blend(
         self,
         learned: FloatArray,

@@ -17,9 +17,16 @@ from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import (
     FloatArray,
     advance_pose,
+    anywhere,
+    clamped,
     components,
-    pose_in_frame,
+    cos,
+    hypot,
+    number,
+    numbers,
+    sin,
     tracking_error,
+    where,
     wrap_angle,
 )
 from adp_path_follower.core.path.route import turned_settings
@@ -73,12 +80,14 @@ def register_far_policy(name: str, factory: Callable[[Settings], FarPolicy]) -> 
 
 # [m] between which the value at the best heading takes over: the nodes are too rare there. Less
 # below 0.5 m/s, and more above 2 m/s, by the root of `ValueProblem.length_scale`.
-_GRID_ENDS = np.array([6.0, 8.0])
+_GRID_ENDS = (6.0, 8.0)
 _STEERING = 3.0  # [1/s] of the error to the best heading there; more would amplify noise
 # [rad] from facing backwards, within which the slope by theta is taken over as much to both sides:
 # the heading of the half-angle form has a kink there, in whose notch robots would stay for ever.
 _NOTCH = 0.25
 _SPACING = 2.0 * math.pi / len(HEADINGS)  # [rad]
+_COUNT = np.arange(len(HEADINGS))
+_BESIDE = np.array([-1, 0, 1])
 # The coming bend is that of the piece of path which k1 adds in so many [s], for a distance ahead
 # and so much of that aside; of so many [m] at most.
 _COMING_TIME, _ASIDE, _MOST_COMING = 3.0, 0.3, 3.0
@@ -111,7 +120,7 @@ class GridPolicy:
         self._settings, self._problem = settings, problem_of(settings)
         self._grid = stored(self._problem)
         self._inverse = settings.cost.inverse_input_cost()
-        self._ends = math.sqrt(self._problem.length_scale) * _GRID_ENDS
+        self._root = math.sqrt(self._problem.length_scale)
 
     def modified_input(
         self, zeta: FloatArray, curvature: FloatArray, feedforward: FloatArray
@@ -119,68 +128,67 @@ class GridPolicy:
         """Return u = -1/2 R^-1 g^T V_e within the limits, shape (..., 2)."""
         if self._grid is None:
             self._grid = value_grid(self._settings)
-        error, kappa = zeta[..., :3], np.asarray(curvature)
-        start, end = self._ends
-        distance = np.hypot(error[..., 0], error[..., 1])[..., None]
-        beyond = np.clip((distance - start) / (end - start), 0.0, 1.0)
-        u = np.zeros((*kappa.shape, 2))
-        if (beyond < 1.0).any():
-            wanted = descending_input(self._descent(self._grid, error, kappa), self._inverse)
-            u = saturate(wanted, feedforward, self._settings.limits)
-        if (beyond > 0.0).any():
-            wanted = self._distant_input(self._grid.distant, error, kappa, feedforward)
-            u = u + beyond * (saturate(wanted, feedforward, self._settings.limits) - u)
-        return u
+        error, limits = zeta[..., :3], self._settings.limits
+        s, y, _ = numbers(error)
+        start, end = (self._root * distance for distance in _GRID_ENDS)
+        beyond = clamped((hypot(s, y) - start) / (end - start), 0.0, 1.0)
+        u: FloatArray | None = None
+        if anywhere(beyond < 1.0):
+            wanted = descending_input(self._descent(self._grid, error, curvature), self._inverse)
+            u = saturate(wanted, feedforward, limits)
+        if u is not None and not anywhere(beyond > 0.0):
+            return u
+        wanted = self._distant_input(self._grid.distant, error, curvature, feedforward)
+        far = saturate(wanted, feedforward, limits)
+        return far if u is None else u + np.asarray(beyond)[..., None] * (far - u)
 
-    def _descent(self, grid: ValueGrid, error: FloatArray, kappa: FloatArray) -> FloatArray:
+    def _descent(self, grid: ValueGrid, error: FloatArray, curvature: FloatArray) -> FloatArray:
         """Return g^T V_e at errors (..., 3), shape (..., 2)."""
-        theta = error[..., 2]
-        value, slope = grid.value_and_slope(error, kappa)
-        backwards = np.abs(theta) > math.pi - _NOTCH
-        if np.any(backwards):
+        s, y, theta = numbers(error)
+        value, slope = grid.value_and_slope(error, curvature)
+        by_s, by_y, by_theta = numbers(slope)
+        backwards = abs(theta) > math.pi - _NOTCH
+        if anywhere(backwards):
             left, right = (
-                grid.value_and_slope(_turned(error, angle), kappa)[0] for angle in (_NOTCH, -_NOTCH)
+                grid.value_and_slope(components(s, y, wrap_angle(theta + angle)), curvature)[0]
+                for angle in (_NOTCH, -_NOTCH)
             )
             notch = backwards & ((left > value) != (right > value))
-            slope[..., 2] = np.where(notch, 0.5 * (left - right) / _NOTCH, slope[..., 2])
-        ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
-        return np.stack([ahead, slope[..., 2]], axis=-1)
+            by_theta = where(notch, 0.5 * (left - right) / _NOTCH, by_theta)
+        return components(cos(theta) * by_s + sin(theta) * by_y, by_theta)
 
     def _distant_input(
-        self, value: DistantValue, error: FloatArray, kappa: FloatArray, feedforward: FloatArray
+        self,
+        value: DistantValue,
+        error: FloatArray,
+        curvature: FloatArray,
+        feedforward: FloatArray,
     ) -> FloatArray:
         """Return the input that turns to the best heading, shape (..., 2).
 
         To the side on which less is lost on the way: the Hamiltonian's excess over the least one,
         summed over the headings in between, is the value of a robot that only turns.
         """
-        kappa = np.clip(kappa, -value.curvatures[-1], value.curvatures[-1])
-        place, theta, count = error[..., :2], error[..., 2], len(HEADINGS)
-        slope, limits = value.slope(place, kappa), self._settings.limits
-        low, high = (
-            np.asarray(bound[0] - feedforward[..., 0]) for bound in (limits.lower, limits.upper)
-        )
-        _, loss = self._problem.headings(place, kappa, slope, low, high)
-        best = loss.argmin(axis=-1)[..., None]
-        # From the best heading on, round to it again.
-        loss = np.take_along_axis(loss, (best + np.arange(count)) % count, -1)
-        before, least, after = loss[..., -1], loss[..., 0], loss[..., 1]
+        (_, _, theta), (v_ss, w_ss) = numbers(error), numbers(feedforward)
+        kappa = clamped(number(curvature), -value.curvatures[-1], value.curvatures[-1])
+        place, limits, count = error[..., :2], self._settings.limits, len(HEADINGS)
+        slope = value.slope(place, kappa)
+        bounds = limits.lower[0] - v_ss, limits.upper[0] - v_ss
+        _, loss = self._problem.headings(place, kappa, slope, *bounds)
+        best = loss.argmin(axis=-1)
+        at = (best[..., None] + _BESIDE) % count
+        beside = loss[at] if loss.ndim == 1 else np.take_along_axis(loss, at, -1)
+        before, least, after = numbers(beside)
         between = 0.5 * (before - after) / np.maximum(before + after - 2.0 * least, 1e-9)
-        ahead = np.mod(theta - HEADINGS[0] - (best[..., 0] + between) * _SPACING, 2.0 * math.pi)
-        loss = loss - least[..., None]
-        on_the_way = np.arange(count) * _SPACING < ahead[..., None]
-        left, whole = (loss * on_the_way).sum(-1), loss.sum(-1)
-        off = np.where(2.0 * left < whole, ahead, ahead - 2.0 * math.pi)
-        pull = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
-        v = -0.5 * self._inverse[0, 0] * pull
-        return components(v, -_STEERING * off - feedforward[..., 1])
-
-
-def _turned(error: FloatArray, angle: float) -> FloatArray:
-    """Return errors (..., 3) of a robot that is turned by an angle [rad]."""
-    found = error.copy()
-    found[..., 2] = wrap_angle(error[..., 2] + angle)
-    return found
+        ahead = (theta - HEADINGS[0] - (best + between) * _SPACING) % (2.0 * math.pi)
+        excess = loss - np.asarray(least)[..., None]
+        # From the best heading on, round to it again.
+        on_the_way = (_COUNT - best[..., None]) % count * _SPACING < np.asarray(ahead)[..., None]
+        left, whole = (excess * on_the_way).sum(-1), excess.sum(-1)
+        off = where(2.0 * left < whole, ahead, ahead - 2.0 * math.pi)
+        by_s, by_y = numbers(slope)
+        pull = cos(theta) * by_s + sin(theta) * by_y
+        return components(-0.5 * self._inverse[0, 0] * pull, -_STEERING * off - w_ss)
 
 
 class ApproachPolicy:
@@ -226,12 +234,12 @@ class WideRegion:
         self._kind = settings.policy.wide_region
         # Errors, in half-widths of the samples, between which the policy changes.
         self._levels = settings.policy.wide_region_levels
-        self._half_widths = settings.half_widths
+        self._half_widths: list[float] = settings.half_widths.tolist()
         if self._kind == "value_grid":
             start, end = self._levels
             self._levels = _GRID_LEVELS * start, _GRID_LEVELS * end
-            self._half_widths[:2] *= min(1.0, problem_of(settings).length_scale)
-        self._widths: list[float] = self._half_widths.tolist()
+            scale = min(1.0, problem_of(settings).length_scale)
+            self._half_widths[:2] = [scale * width for width in self._half_widths[:2]]
         self._is_own = self._kind not in WIDE_REGIONS
         make = OWN_FAR_POLICIES.find(self._kind) if self._is_own else None
         self._far: FarPolicy
@@ -255,16 +263,16 @@ class WideRegion:
             arc_length: Places of the target [m], shape (...).
 
         """
-        s, y = zeta[..., 0], zeta[..., 1]
-        distance = np.maximum(s + _ASIDE * np.abs(y), 0.0)
-        covered = _COMING_TIME * self._settings.target.target_gain * distance
-        covered = np.minimum(covered, _MOST_COMING)
-        places = np.asarray(arc_length)[..., None] + covered[..., None] * _PLACES
+        s, y, _, phi = numbers(zeta)
+        distance = clamped(s + _ASIDE * abs(y), 0.0, math.inf)
+        most = _COMING_TIME * self._settings.target.target_gain * distance
+        covered = clamped(most, 0.0, _MOST_COMING)
+        places = np.asarray(arc_length)[..., None] + np.asarray(covered)[..., None] * _PLACES
         frames = self._riccati.path.frame(places)
         curvature = frames.curvature @ _WEIGHTS
-        robot = pose_in_frame(zeta[..., :3], frames.pose[..., 0, :])
-        begin = advance_pose(frames.pose[..., -1, :], -covered, -covered * curvature, 1.0)
-        return np.concatenate([tracking_error(robot, begin), zeta[..., 3:]], -1), curvature
+        end = tracking_error(frames.pose[..., -1, :], frames.pose[..., 0, :])
+        begin = advance_pose(end, -covered, -covered * curvature, 1.0)
+        return components(*numbers(tracking_error(zeta[..., :3], begin)), phi), curvature
 
     def blend(
         self,
@@ -292,29 +300,38 @@ class WideRegion:
 
     def _alone(self, learned: FloatArray, *place: FloatArray) -> FloatArray:
         """Return the input as `blend`, without the policy before."""
-        arc_length, zeta, curvature, feedforward = place
-        share = self.share(zeta)[..., None]
-        if not (share > 0.0).any():
+        share = self.share(place[1])
+        if not anywhere(share > 0.0):
             return learned
+        far, part = self.far_input(*place), np.asarray(share)[..., None]
+        return np.asarray((1.0 - part) * learned + part * far)
+
+    def drives_alone(self, share: FloatArray) -> bool:
+        """Return whether `far_input` is the input of `blend` where `share` is this (...)."""
+        return self._before is None and not anywhere(share != 1.0)
+
+    def far_input(
+        self,
+        arc_length: FloatArray,
+        zeta: FloatArray,
+        curvature: FloatArray,
+        feedforward: FloatArray,
+    ) -> FloatArray:
+        """Return the far policy's modified input (..., 2), of arguments as in `blend`."""
         if self._kind == "value_grid":
             zeta, curvature = self.seen(zeta, arc_length)
         far = np.asarray(self._far.modified_input(zeta, curvature, feedforward))
-        far = saturate(far, feedforward, self._settings.limits) if self._is_own else far
-        return np.asarray((1.0 - share) * learned + share * far)
+        return saturate(far, feedforward, self._settings.limits) if self._is_own else far
 
     def share(self, error: FloatArray) -> FloatArray:
         """Return how much of the far policy drives at errors (..., 3 or 4), from 0 to 1, (...)."""
-        if self._kind == "none" or (error.ndim == 1 and not self.is_far(error)):
+        if self._kind == "none":
             return np.zeros(error.shape[:-1])
         start, end = self._levels
-        level = np.abs(error[..., :3] / self._half_widths).max(axis=-1)
-        share = np.clip((level - start) / (end - start), 0.0, 1.0)
-        return np.asarray(share * share * (3.0 - 2.0 * share))
-
-    def is_far(self, error: FloatArray) -> bool:
-        """Return whether a robot's error [s, y, theta, ...] is where another policy begins."""
-        start = self._levels[0]
-        return any(
-            abs(value) > start * width
-            for value, width in zip(error.tolist(), self._widths, strict=False)
-        )
+        sizes = [
+            abs(value) / width
+            for value, width in zip(numbers(error)[:3], self._half_widths, strict=True)
+        ]
+        level = max(sizes) if error.ndim == 1 else np.maximum.reduce(sizes)
+        share: FloatArray = clamped((level - start) / (end - start), 0.0, 1.0)
+        return share * share * (3.0 - 2.0 * share)

@@ -12,14 +12,30 @@ Farther away a turn on the spot takes no time worth speaking of: there W(s, y) i
 best heading. The root of W by the distance is a spline in the distance's logarithm and the bearing.
 """
 
+import functools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from adp_path_follower.core.geometry import FloatArray, components, last_axis_sum
+from adp_path_follower.core.basis import Numbers
+from adp_path_follower.core.geometry import (
+    FloatArray,
+    asinh,
+    clamped,
+    components,
+    cos,
+    hypot,
+    log,
+    number,
+    numbers,
+    sin,
+    where,
+)
 
-_TAPS = np.arange(4)
+_POWERS = np.arange(4)
 # Cubic B-spline: the rows are the powers 1, t, t^2, t^3 of the place between two nodes, the columns
 # the four coefficients around it, for the value and then for its slope.
 _SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
@@ -43,18 +59,17 @@ class GridAxes:
         turns = -math.pi + 2.0 * math.pi / self.shape[2] * np.arange(self.shape[2])
         return np.stack(np.meshgrid(*lengths, turns, indexing="ij"), axis=-1)
 
-    def position(self, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return places [nodes] of errors (..., 3) on the axes, and their derivatives, (..., 3)."""
-        middle = 0.5 * (np.array(self.shape[:2]) - 1.0)
-        spans = middle / math.asinh(self.reach / self.bend)
+    def position(self, s: FloatArray, y: FloatArray, theta: FloatArray) -> tuple[Numbers, Numbers]:
+        """Return places [nodes] of errors (...) on the axes, and their derivatives, (...) each."""
+        extent = math.asinh(self.reach / self.bend)
+        places, slopes = [], []
+        for length, count in ((s, self.shape[0]), (y, self.shape[1])):
+            middle = 0.5 * (count - 1.0)
+            inside = clamped(length, -self.reach, self.reach)
+            places.append(middle + middle / extent * asinh(inside / self.bend))
+            slopes.append(middle / extent / hypot(inside, self.bend) * (inside == length))
         turns = self.shape[2] / (2.0 * math.pi)
-        place, slope = np.empty(error.shape), np.empty(error.shape)
-        inside = np.minimum(np.maximum(error[..., :2], -self.reach), self.reach)
-        place[..., :2] = middle + spans * np.arcsinh(inside / self.bend)
-        slope[..., :2] = spans / np.hypot(inside, self.bend) * (inside == error[..., :2])
-        place[..., 2] = np.mod((error[..., 2] + math.pi) * turns, self.shape[2])
-        slope[..., 2] = turns
-        return place, slope
+        return (*places, (theta + math.pi) * turns % self.shape[2]), (*slopes, turns)
 
 
 @dataclass(frozen=True)
@@ -79,13 +94,12 @@ class PolarAxes:
         count, around = self.shape
         return (count - 1.0) / math.log(self.end / self.start), around / (2.0 * math.pi)
 
-    def position(self, error: FloatArray) -> FloatArray:
-        """Return places [nodes] of errors (..., 2 or 3) on the axes, (..., 2)."""
-        s, y = error[..., 0], error[..., 1]
+    def position(self, s: FloatArray, y: FloatArray) -> Numbers:
+        """Return places [nodes] of [s, y] (...) on the axes, (...) each."""
         outwards, around = self.spans
-        distance = np.minimum(np.maximum(np.hypot(s, y), self.start), self.end)
-        turned = np.mod((np.arctan2(y, s) + math.pi) * around, self.shape[1])
-        return components(outwards * np.log(distance / self.start), turned)
+        distance = clamped(hypot(s, y), self.start, self.end)
+        turned = (np.arctan2(y, s) + math.pi) * around % self.shape[1]
+        return outwards * log(distance / self.start), turned
 
 
 @dataclass(frozen=True)
@@ -99,20 +113,21 @@ class DistantValue:
 
     def slope(self, place: FloatArray, curvature: FloatArray) -> FloatArray:
         """Return W_s and W_y at places [s, y] (..., 2), for kappa [1/m] (...), shape (..., 2)."""
-        left = np.where(curvature < 0.0, -1.0, 1.0)
-        s, y = place[..., 0], place[..., 1] * left
-        layer, share = _layer(self.curvatures, np.abs(curvature))
-        position = self.axes.position(components(s, y))
-        node, weights = _taps(position, np.array(self.axes.shape) - (2, 1))
-        outer, inner = np.moveaxis(node[..., None] + _TAPS, -2, 0)
-        at = outer[..., :, None], inner[..., None, :]
-        block = _between(self.coefficients, layer, share, at)
-        found = weights[..., 0, :, :] @ block @ np.swapaxes(weights[..., 1, :, :], -1, -2)
-        ratio, (outwards, around) = found[..., 0, 0], self.axes.spans
-        by_distance = ratio + outwards * found[..., 1, 0]
-        by_bearing = around * found[..., 0, 1]
+        kappa, (s, y) = number(curvature), numbers(place)
+        left = where(kappa < 0.0, -1.0, 1.0)
+        y = y * left
+        node, weights = _taps(self.axes.position(s, y), self._windows)
+        block = _between(self._windows, *_layer(self.curvatures, abs(kappa)), node)
+        found = weights[..., 0, :, :] @ block @ weights[..., 1, :, :].swapaxes(-1, -2)
+        ratio, by_bearing, by_logarithm, _ = numbers(found.reshape(*found.shape[:-2], 4))
+        outwards, around = self.axes.spans
+        by_distance, by_bearing = ratio + outwards * by_logarithm, around * by_bearing
         by_s, by_y = s * by_distance - y * by_bearing, y * by_distance + s * by_bearing
-        return 2.0 * ratio[..., None] * components(by_s, by_y * left)
+        return components(2.0 * ratio * by_s, 2.0 * ratio * by_y * left)
+
+    @functools.cached_property
+    def _windows(self) -> FloatArray:
+        return _windows(self.coefficients)
 
 
 @dataclass(frozen=True)
@@ -134,31 +149,42 @@ class ValueGrid:
 
         theta is from -pi to pi; beyond the layers of kappa [1/m] (...), the last one counts.
         """
-        left = np.where(curvature < 0.0, -1.0, 1.0)
-        mirror = components(np.ones_like(left), left, left)
-        layer, share = _layer(self.curvatures, np.abs(curvature))
-        mirrored = error * mirror
-        ratio, ratio_slope = self._ratio(mirrored, layer, share)
-        part = share[..., None, None]
-        matrix = (1.0 - part) * self.riccati[layer] + part * self.riccati[layer + 1]
-        base, base_slope = half_angle_form(mirrored, matrix)
-        slope = (2.0 * ratio * base)[..., None] * ratio_slope + (ratio**2)[..., None] * base_slope
-        return ratio**2 * base, slope * mirror
+        kappa, (s, y, theta) = number(curvature), numbers(error)
+        left = where(kappa < 0.0, -1.0, 1.0)
+        y, theta = y * left, theta * left
+        layer, share = _layer(self.curvatures, abs(kappa))
+        ratio, ratio_slope = self._ratio((s, y, theta), layer, share)
+        matrix = _between(self.riccati, layer, share)
+        base, base_slope = half_angle_form((s, y, theta), matrix)
+        by_ratio, square = 2.0 * ratio * base, ratio * ratio
+        by_s, by_y, by_theta = (
+            by_ratio * steps + square * form
+            for steps, form in zip(ratio_slope, base_slope, strict=True)
+        )
+        return square * base, components(by_s, by_y * left, by_theta * left)
 
     def _ratio(
-        self, error: FloatArray, layer: np.ndarray, share: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return rho, shape (...), and its gradient by s, y and theta, shape (..., 3)."""
-        place, stretch = self.axes.position(error)
-        node, weights = _taps(place, np.array(self.axes.shape) - (2, 2, 1))
-        weights[..., 1, :] *= stretch[..., None]
-        rows = np.moveaxis(node[..., None] + _TAPS, -2, 0)
-        at = rows[0][..., :, None, None], rows[1][..., None, :, None], rows[2][..., None, None, :]
-        block = _between(self.coefficients, layer, share, at)
-        by_theta = block @ np.swapaxes(weights[..., None, 2, :, :], -1, -2)  # (..., 4, 4, 2)
+        self, error: Numbers, layer: np.ndarray, share: FloatArray
+    ) -> tuple[FloatArray, Numbers]:
+        """Return rho, and its gradient by s, y and theta, shape (...) each."""
+        places, (s_step, y_step, theta_step) = self.axes.position(*error)
+        node, weights = _taps(places, self._windows)
+        block = _between(self._windows, layer, share, node)
+        by_theta = block @ weights[..., None, 2, :, :].swapaxes(-1, -2)  # (..., 4, 4, 2)
         by_y = weights[..., None, 1, :, :] @ by_theta  # (..., 4, 2, 2): value, slope
         found = weights[..., 0, :, :] @ by_y.reshape(*by_y.shape[:-2], 4)
-        return found[..., 0, 0], components(found[..., 1, 0], found[..., 0, 2], found[..., 0, 1])
+        ratio, theta_slope, y_slope, _, s_slope, *_ = numbers(found.reshape(*found.shape[:-2], 8))
+        return ratio, (s_slope * s_step, y_slope * y_step, theta_slope * theta_step)
+
+    @functools.cached_property
+    def _windows(self) -> FloatArray:
+        return _windows(self.coefficients)
+
+
+def _windows(layers: FloatArray) -> FloatArray:
+    """Return the four coefficients along each axis from each on, as a view of all (K, ...)."""
+    axes = layers.ndim - 1
+    return sliding_window_view(layers, (4,) * axes, axis=tuple(range(1, axes + 1)))
 
 
 def _layer(curvatures: FloatArray, curvature: FloatArray) -> tuple[np.ndarray, FloatArray]:
@@ -170,45 +196,37 @@ def _layer(curvatures: FloatArray, curvature: FloatArray) -> tuple[np.ndarray, F
 
 
 def _between(
-    coefficients: FloatArray, layer: np.ndarray, share: FloatArray, at: tuple[np.ndarray, ...]
+    layers: FloatArray, layer: np.ndarray, share: FloatArray, at: tuple[np.ndarray, ...] = ()
 ) -> FloatArray:
-    """Return coefficients at indices (..., 4, 4 or 4, 4, 4) between two layers (...)."""
-    around = (..., *[None] * len(at))
-    below, above = (coefficients[(number[around], *at)] for number in (layer, layer + 1))
-    return np.asarray(below + share[around] * (above - below))
+    """Return an array, or the one at some indices (...), between two layers (...)."""
+    below, above = layers[(layer, *at)], layers[(layer + 1, *at)]
+    return np.asarray(below + share[(..., *[None] * (below.ndim - share.ndim))] * (above - below))
 
 
-def _taps(place: FloatArray, last: np.ndarray) -> tuple[np.ndarray, FloatArray]:
-    """Return the first of four coefficients about places (..., axes) [nodes], and the weights.
+def _taps(places: Numbers, windows: FloatArray) -> tuple[tuple[np.ndarray, ...], FloatArray]:
+    """Return the window of four coefficients about places (...) [nodes], and their weights.
 
-    The weights of each axis (..., axes, 2, 4) are those of value and slope; `last` (axes,) is the
-    first of the last two nodes.
+    The weights of each axis (..., axes, 2, 4) are those of value and slope.
     """
-    with np.errstate(invalid="ignore"):
-        node = np.minimum(np.maximum(place.astype(np.intp), 0), last)
-    t = place - node
-    powers = components(np.ones_like(t), t, t * t, t * t * t)
-    return node, (powers @ _BOTH).reshape(*t.shape, 2, 4)
+    place = components(*places)
+    last = np.array(windows.shape[1 : len(places) + 1]) - 1.0
+    node: Any = np.fmin(np.fmax(place, 0.0), last).astype(np.intp)  # 0 for NaN
+    powers = (place - node)[..., None] ** _POWERS
+    return numbers(node), (powers @ _BOTH).reshape(*place.shape, 2, 4)
 
 
-def half_angle_value(error: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return q^T P q (...) at errors (..., 3), for P (..., 3, 3)."""
-    _, _, q, pulled = _half_angle(error, matrix)
-    return last_axis_sum(q * pulled)
-
-
-def half_angle_form(error: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return q^T P q (...) and its gradient (..., 3) at errors (..., 3), for P (..., 3, 3)."""
-    cos, sin, q, pulled = _half_angle(error, matrix)
-    by_a, by_b, by_theta = (2.0 * pulled[..., axis] for axis in range(3))
-    turned = 0.5 * (by_a * q[..., 1] - by_b * q[..., 0]) + by_theta
-    slope = components(by_a * cos - by_b * sin, by_a * sin + by_b * cos, turned)
-    return last_axis_sum(q * pulled), slope
-
-
-def _half_angle(error: FloatArray, matrix: FloatArray) -> tuple[FloatArray, ...]:
-    """Return cos and sin of theta / 2 (...), and q and P q (..., 3)."""
-    s, y, theta = error[..., 0], error[..., 1], error[..., 2]
-    cos, sin = np.cos(0.5 * theta), np.sin(0.5 * theta)
-    q = components(s * cos + y * sin, y * cos - s * sin, theta)
-    return cos, sin, q, np.matmul(matrix, q[..., None])[..., 0]
+def half_angle_form(error: Numbers, matrix: FloatArray) -> tuple[FloatArray, Numbers]:
+    """Return q^T P q and its gradient, (...) each, at errors s, y, theta (...), P (..., 3, 3)."""
+    s, y, theta = error
+    ahead, aside = cos(0.5 * theta), sin(0.5 * theta)
+    a, b = s * ahead + y * aside, y * ahead - s * aside
+    p_aa, p_ab, p_at, _, p_bb, p_bt, *_, p_tt = numbers(matrix.reshape(*matrix.shape[:-2], 9))
+    half_a = p_aa * a + p_ab * b + p_at * theta
+    half_b = p_ab * a + p_bb * b + p_bt * theta
+    half_theta = p_at * a + p_bt * b + p_tt * theta
+    slope = (
+        2.0 * (half_a * ahead - half_b * aside),
+        2.0 * (half_a * aside + half_b * ahead),
+        half_a * b - half_b * a + 2.0 * half_theta,
+    )
+    return a * half_a + b * half_b + theta * half_theta, slope

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adp_path_follower.core.basis import Numbers
 from adp_path_follower.core.control.riccati import riccati_solutions
 from adp_path_follower.core.control.value_grid import (
     DistantValue,
@@ -23,10 +24,9 @@ from adp_path_follower.core.control.value_grid import (
     PolarAxes,
     ValueGrid,
     half_angle_form,
-    half_angle_value,
 )
 from adp_path_follower.core.control.virtual_target import MOST_LEAD
-from adp_path_follower.core.geometry import FloatArray, last_axis_sum, wrap_angle
+from adp_path_follower.core.geometry import FloatArray, last_axis_sum, numbers, unpacked, wrap_angle
 from adp_path_follower.core.settings.groups import (
     FAST,
     CostSettings,
@@ -57,6 +57,7 @@ _DISTANT, _ENDS = (40, 72), (5.0, 100.0)  # nodes, and [m] between them, of W
 _DISTANT_LAYERS = 2  # a sharper bend moves the target hardly more, beside such a distance
 _STEEP = 3.0  # root of W by the distance to begin with
 HEADINGS = np.linspace(-math.pi, math.pi, 73)[:-1]  # [rad] that are compared far away
+_COS, _SIN = np.cos(HEADINGS), np.sin(HEADINGS)
 METHOD = (7, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
 
 
@@ -95,18 +96,27 @@ class ValueProblem:
 
         W has its slope (..., 2) at the place [s, y] (..., 2); v_e is between low and high (...).
         """
-        s, y, by_s, by_y = (
-            values[..., axis, None] for values in (place, slope) for axis in range(2)
+        (_, _, c_st), (_, _, c_yt), (_, _, c_tt) = self._state_cost
+        s, y, by_s, by_y, kappa, least, most = (
+            np.asarray(values)[..., None]
+            for values in (*numbers(place), *numbers(slope), curvature, low, high)
         )
-        kappa, gain = np.asarray(curvature)[..., None], self.target.target_gain
-        cost, cos, sin = self.cost.state_cost_matrix(), np.cos(HEADINGS), np.sin(HEADINGS)
-        effort = self.cost.input_cost_matrix()[0, 0]
-        descent = by_s * cos + by_y * sin
-        v = np.clip(-0.5 / effort * descent, low[..., None], high[..., None])
-        passing = np.clip(self.speed * cos + gain * s, -self.fastest, self.fastest)
+        descent = by_s * _COS + by_y * _SIN
+        v = np.minimum(np.maximum(-0.5 / self._effort * descent, least), most)
+        passing = self.speed * _COS + self.target.target_gain * s
+        passing = np.minimum(np.maximum(passing, -self.fastest), self.fastest)
         drift = self.speed * descent - passing * (by_s * (1.0 - kappa * y) + by_y * kappa * s)
-        turned = HEADINGS * (cost[2, 2] * HEADINGS + 2.0 * (cost[0, 2] * s + cost[1, 2] * y))
-        return v, turned + drift + v * (effort * v + descent)
+        turned = HEADINGS * (c_tt * HEADINGS + 2.0 * (c_st * s + c_yt * y))
+        return v, turned + drift + v * (self._effort * v + descent)
+
+    @functools.cached_property
+    def _state_cost(self) -> list[list[float]]:
+        rows: list[list[float]] = self.cost.state_cost_matrix().tolist()
+        return rows  # kept, as each control step far away asks for it
+
+    @functools.cached_property
+    def _effort(self) -> float:
+        return float(self.cost.input_cost_matrix()[0, 0])
 
 
 def solve(problem: ValueProblem) -> ValueGrid:
@@ -123,7 +133,7 @@ def solve(problem: ValueProblem) -> ValueGrid:
     axes, layers, distant = coarse, [], []
     for number, curvature in enumerate(_CURVATURES):
         layer = _Layer(problem, fine, float(curvature), riccati[number])
-        guess = _interpolated(coefficients, axes.position(fine.nodes)[0])
+        guess = _interpolated(coefficients, axes.position(*unpacked(fine.nodes))[0])
         coefficients = layer.iterate(_filtered(guess), _MOST_SWEEPS)
         if curvature == 0.0:  # left and right are alike; neither is to be preferred
             ratio = _at_nodes(coefficients)
@@ -206,7 +216,8 @@ class _Layer(_Nodes):
         super().__init__(problem, axes.nodes, curvature)
         self._axes, self._riccati = axes, riccati
         self._fastest = problem.target.desired_speed + self._gain * _LEAD
-        base, self._base_slope = half_angle_form(self._nodes, riccati)
+        base, slope = half_angle_form(unpacked(self._nodes), riccati)
+        self._base_slope = np.stack(slope, axis=-1)
         self._base = np.maximum(base, 1e-9)
         self._counted = self._distance < _COUNTED
         scale = problem.length_scale
@@ -235,9 +246,11 @@ class _Layer(_Nodes):
         return np.asarray(base * _interpolated(coefficients, place) ** 2)
 
     def _placed(self, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the form that rho^2 multiplies at errors (..., 3), and their places, (..., 3)."""
-        place, _ = self._axes.position(error)
-        return np.maximum(half_angle_value(_wrapped(error), self._riccati), 1e-9), place
+        """Return the form that rho^2 multiplies at errors (..., 3), and their places, (3, ...)."""
+        s, y, theta = unpacked(error)
+        place, _ = self._axes.position(s, y, theta)
+        form, _ = half_angle_form((s, y, wrap_angle(theta)), self._riccati)
+        return np.maximum(form, 1e-9), np.stack(place)
 
     def _best(
         self, inputs: list[FloatArray], coefficients: FloatArray
@@ -255,7 +268,7 @@ class _Layer(_Nodes):
             bases.append(base)
             places.append(place)
         best = np.argmin(values, axis=0)
-        u, place = (np.choose(best[..., None], parts) for parts in (inputs, places))
+        u, place = np.choose(best[..., None], inputs), np.choose(best, places)
         return u, np.choose(best, costs), np.choose(best, bases), place
 
     def _trials(self) -> list[FloatArray]:
@@ -266,10 +279,10 @@ class _Layer(_Nodes):
     def _descending(self, ratio: FloatArray, coefficients: FloatArray) -> FloatArray:
         """Return u = -1/2 R^-1 g^T V_e within the limits at the nodes, (..., 2)."""
         slope = self._base_slope * (ratio**2)[..., None]
-        stretch = self._axes.position(self._nodes)[1]
+        _, stretch = self._axes.position(*unpacked(self._nodes))
         for axis in range(3):
             by_node = _at_nodes(coefficients, axis)
-            slope[..., axis] += 2.0 * ratio * self._base * by_node * stretch[..., axis]
+            slope[..., axis] += 2.0 * ratio * self._base * by_node * stretch[axis]
         theta = self._nodes[..., 2]
         ahead = np.cos(theta) * slope[..., 0] + np.sin(theta) * slope[..., 1]
         descent = np.stack([ahead, slope[..., 2]], axis=-1)
@@ -325,7 +338,7 @@ class _Distant(_Nodes):
         distance = np.hypot(after[..., 0], after[..., 1])
         inside = distance < self._axes.start
         cost[inside] += within(after[inside])
-        place = self._axes.position(after)
+        place = np.stack(self._axes.position(after[..., 0], after[..., 1]))
         return cost, place, np.where(inside, 0.0, distance)
 
     @staticmethod
@@ -336,7 +349,6 @@ class _Distant(_Nodes):
         from scipy.ndimage import map_coordinates
 
         around = np.concatenate([ratio, ratio[:, :1]], axis=1)
-        place = np.moveaxis(place, -1, 0)
         onwards = distance * map_coordinates(around, place, order=1, mode="nearest")
         return np.asarray(cost + onwards**2)
 
@@ -365,11 +377,11 @@ def _filtered(ratio: FloatArray) -> FloatArray:
     return np.concatenate([found[..., -1:], found, found[..., :2]], axis=-1)
 
 
-def _interpolated(coefficients: FloatArray, place: FloatArray) -> FloatArray:
-    """Return rho at places (..., 3) [nodes]."""
+def _interpolated(coefficients: FloatArray, place: FloatArray | Numbers) -> FloatArray:
+    """Return rho at places (3, ...) [nodes]."""
     from scipy.ndimage import map_coordinates
 
-    place = np.moveaxis(place, -1, 0) + 1.0
+    place = np.asarray(place) + 1.0
     found = map_coordinates(coefficients, place, order=3, prefilter=False, mode="nearest")
     return np.asarray(found)
 

@@ -71,19 +71,19 @@ class CommandLaw:
         the curvature [1/m] (...) half way through the period for which the command will be held.
         """
         here = self.situation(target, target.v_des, coming)
-        learned = self.actor_input(here)
-        running_cost, measured = self._bellman_error(here, learned)
-        there, tried, rate, errors = here, learned, running_cost, measured
-        speed = self._riccati.profile.model_speed(target.arc_length)
-        if speed is not target.v_des and np.any(speed != target.v_des):
-            # Coming from rest, or near the end: judged at the speed that was learned for.
-            there = self.situation(target, speed, coming)
-            tried = self.actor_input(there)
-            rate, errors = self._bellman_error(there, tried)
-        delta, value = errors.error[..., 0], inner(there.weights.critic, there.expansion.value)
-        drives = self._wide_region.share(there.zeta) < 1.0
-        doubt = self.fallback.doubt(delta, rate, value, tried, drives, dt, *there.place)
-        applied = self._safe_input(here, learned, doubt, dt)
+        share, learned = self._wide_region.share(here.zeta), None
+        if self._wide_region.drives_alone(share):  # whatever was learned
+            doubt = self.fallback.undoubted(here.arc_length.shape, dt)
+            applied = self._wide_region.far_input(here.arc_length, *here.place)
+        else:
+            learned = self.actor_input(here)
+            running_cost, measured = self._bellman_error(here, learned)
+            judged = here, learned, running_cost, measured
+            doubt = self._doubt(target, dt, coming, share < 1.0, *judged)
+            applied = self.fallback.blend(learned, doubt, *here.place)
+            applied = self._wide_region.blend(applied, here.arc_length, *here.place, dt)
+        if self._near_path is not None and not self.robot_is_ideal:
+            applied = self._near_path.held(applied, *here.place)
         # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.
         wanted = within(applied + here.feedforward, self.settings.limits)
         command = self._actuation.limited(wanted, self.settings)
@@ -149,12 +149,23 @@ class CommandLaw:
         errors = bellman_errors(here.weights.critic, omega[..., None, :], cost_rate)
         return running_cost, errors
 
-    def _safe_input(
-        self, here: Situation, learned: FloatArray, doubt: FloatArray, dt: float
+    def _doubt(
+        self,
+        target: VirtualTarget,
+        dt: float,
+        coming: FloatArray | None,
+        drives: np.ndarray,
+        there: Situation,
+        tried: FloatArray,
+        rate: FloatArray,
+        errors: BellmanErrors,
     ) -> FloatArray:
-        """Return the input after fallback and far policy, shape (..., 2), equation (6)."""
-        applied = self.fallback.blend(learned, doubt, *here.place)
-        applied = self._wide_region.blend(applied, here.arc_length, *here.place, dt)
-        if self._near_path is None or self.robot_is_ideal:
-            return applied
-        return self._near_path.held(applied, *here.place)
+        """Return the doubt (...) of the input that is tried there, if it drives, equation (5)."""
+        speed = self._riccati.profile.model_speed(target.arc_length)
+        if speed is not target.v_des and np.any(speed != target.v_des):
+            # Coming from rest, or near the end: judged at the speed that was learned for.
+            there = self.situation(target, speed, coming)
+            tried = self.actor_input(there)
+            rate, errors = self._bellman_error(there, tried)
+        delta, value = errors.error[..., 0], inner(there.weights.critic, there.expansion.value)
+        return self.fallback.doubt(delta, rate, value, tried, drives, dt, *there.place)

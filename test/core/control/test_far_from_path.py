@@ -48,15 +48,20 @@ def tuning(kind, **values):
     )
 
 
-def blended(kind, error, learned, curvature=0.0, **values):
-    """Return the input at errors (..., 3) on a path of constant curvature."""
+def region_and_place(kind, error, curvature=0.0, **values):
+    """Return the region and its arguments at errors (..., 3) on a path of constant curvature."""
     path = BEND if curvature else LINE
     chosen = tuning(kind, **values)
     region = WideRegion(chosen, steady_schedule(path, chosen.target, chosen.cost))
     zeta = np.concatenate([error, np.zeros((*error.shape[:-1], 1))], axis=-1)
     kappa = np.full(error.shape[:-1], curvature)
     steady = 0.5 * np.stack([np.ones_like(kappa), kappa], axis=-1)
-    return region.blend(learned, np.zeros_like(kappa), zeta, kappa, steady)
+    return region, (np.zeros_like(kappa), zeta, kappa, steady)
+
+
+def blended(kind, error, learned, curvature=0.0, **values):
+    region, place = region_and_place(kind, error, curvature, **values)
+    return region.blend(learned, *place)
 
 
 def at_level(direction, level):
@@ -78,6 +83,9 @@ def test_near_the_path_the_learned_input_stays_as_it_is(kind, direction, level, 
 def test_far_from_the_path_the_learned_input_does_not_matter(kind, direction, level, learned):
     error = at_level(direction, level * (1.0 + 1e-12))
     assert blended(kind, error, learned).tolist() == blended(kind, error, -learned).tolist()
+    region, place = region_and_place(kind, error)
+    assert region.drives_alone(region.share(error))
+    assert region.far_input(*place).tolist() == blended(kind, error, learned).tolist()
 
 
 @settings(max_examples=60)
@@ -335,6 +343,16 @@ def test_on_a_circle_a_robot_is_seen_as_it_is(error, kappa, side):
     found, curvature = region.seen(zeta, np.array(0.0))
     np.testing.assert_allclose(found, zeta, atol=1e-6)
     assert curvature == pytest.approx(side * kappa, abs=1e-6)
+
+
+@pytest.mark.parametrize("curvature", [0.0, 0.5])
+def test_one_robot_has_the_grid_policy_of_one_of_many(curvature):
+    """Near and beyond, also where it faces backwards: numbers and arrays take other ways."""
+    errors = np.random.default_rng(4).uniform(-1.0, 1.0, (60, 3)) * [12.0, 12.0, math.pi]
+    errors[::6, 2] = math.pi - 0.1
+    together = blended("value_grid", errors, np.zeros((60, 2)), curvature)
+    alone = [blended("value_grid", error, np.zeros(2), curvature) for error in errors]
+    np.testing.assert_allclose(alone, together, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(
