@@ -73,8 +73,8 @@ class Unicycle:
     def measured_motion(self) -> FloatArray:
         """Return v and w of the wheels as it reported them, and its age [s], shape (..., 3)."""
         reading = self._odometry.reading
-        age = np.broadcast_to(self.time - reading.time, self.pose.shape[:-1])
-        return np.concatenate([reading.twist, age[..., None]], axis=-1)
+        age = np.asarray(self.time - reading.time)[..., None]
+        return np.concatenate([reading.twist, age], axis=-1)
 
     def _delayed(self, command: FloatArray) -> FloatArray:
         """Return the command whose delay is over by now."""

@@ -63,7 +63,7 @@ class Expansion:
     def slope(self, weights: FloatArray) -> Numbers:
         """Return W^T sigma' for weights (..., L): four numbers of shape (...)."""
         if self.partials.ndim == 2:
-            slope = numbers(self.partials @ weights)
+            slope = numbers(self.partials.dot(weights))
         else:
             slope = numbers(np.matmul(self.partials, weights[..., None])[..., 0])
         slope = (*slope, 0.0 * slope[0])[:4]
@@ -74,7 +74,7 @@ class Expansion:
         own = zeta_rate if self.frame is None else self.frame.pushed_forward(zeta_rate)
         own_rate = components(*own[: self.partials.shape[-2]])
         if own_rate.ndim == 1:
-            return np.asarray(own_rate @ self.partials)
+            return np.asarray(own_rate.dot(self.partials))
         return np.asarray(np.matmul(own_rate[..., None, :], self.partials)[..., 0, :])
 
     @property

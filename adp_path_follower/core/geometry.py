@@ -26,13 +26,15 @@ def components(*parts: FloatArray) -> FloatArray:
 
 def unpacked(array: FloatArray) -> tuple[FloatArray, ...]:
     """Return components along the last axis, each (...); of one vector numpy's fast scalars."""
+    if array.ndim == 2:
+        return tuple(array.T)  # the same views, in a third of the time
     return tuple(array[..., index][()] for index in range(array.shape[-1]))
 
 
 def inner(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the inner products of vectors (..., L), shape (...)."""
     if first.ndim == second.ndim == 1:
-        product: FloatArray = first @ second
+        product: FloatArray = first.dot(second)
         return product
     return np.asarray((first * second).sum(-1))
 

@@ -55,7 +55,7 @@ class RiccatiPolicy:
         half_angle_error = half_angle_state(zeta)[..., :3]
         matrix = self._riccati.matrix(curvature, v_des)
         if half_angle_error.ndim == 1:
-            value: FloatArray = half_angle_error @ matrix @ half_angle_error
+            value: FloatArray = half_angle_error.dot(matrix).dot(half_angle_error)
             return value
         pulled = np.matmul(matrix, half_angle_error[..., None])[..., 0]
         return np.asarray((half_angle_error * pulled).sum(axis=-1))

@@ -16,7 +16,7 @@ def actor_input(
 
 def descending_input(descent: FloatArray, input_cost_inverse: FloatArray) -> FloatArray:
     """Return the modified input -1/2 R^-1 g^T V_zeta from g^T V_zeta, shape (..., 2) each."""
-    return np.asarray(-0.5 * (descent @ input_cost_inverse))
+    return np.asarray(-0.5 * descent.dot(input_cost_inverse))
 
 
 def saturate(

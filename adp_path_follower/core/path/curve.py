@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -84,7 +84,7 @@ class Path:
         for order in (1, 2):
             derivatives[:, order, :, :-1] = derivatives[:, order - 1, :, 1:] * np.arange(1, terms)
         self._blocks = derivatives.reshape(pieces, 6, terms)
-        self._degrees = np.arange(terms)
+        self._degrees = np.arange(float(terms))
 
     def __repr__(self) -> str:
         """Return the kind and the length in one line."""
@@ -174,13 +174,13 @@ class Path:
         """Return the frame at a single place [m], in half the time that one of many takes."""
         inside = min(max(position, 0.0), self.length)
         if self.closed:
-            inside = float(position - self.length * np.floor(position / self.length))
+            inside = position - self.length * (position / self.length // 1.0)
         beyond = 0.0 if self.closed else position - inside
         piece = min(int(max(0.0, inside / self._step)), self._pieces - 1)  # 0 for NaN
         powers = (inside - piece * self._step) ** self._degrees
-        x, y, dx, dy, ddx, ddy = np.matmul(self._blocks[piece], powers[:, None])[:, 0]
+        x, y, dx, dy, ddx, ddy = self._blocks[piece].dot(powers).tolist()
         heading = np.arctan2(dy, dx)
-        curvature = (dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5
+        curvature: Any = np.float64((dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5)
         if beyond != 0.0:
             curvature = np.float64(0.0)
             x, y = x + beyond * np.cos(heading), y + beyond * np.sin(heading)

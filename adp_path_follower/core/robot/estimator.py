@@ -103,7 +103,8 @@ class StateEstimator:
     @property
     def deviations(self) -> FloatArray:
         """Return the standard deviations of k_v, k_w and b, shape (3,)."""
-        return np.sqrt(np.diag(self._covariance)[_GAINS])
+        variances = self._covariances[:, range(5, 8), range(5, 8)]
+        return np.asarray(np.sqrt(self._weights.dot(variances)))
 
     @property
     def tells_more(self) -> bool:
