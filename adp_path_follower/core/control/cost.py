@@ -20,7 +20,7 @@ class RunningCost:
         """Return the running cost of errors (..., 3) and inputs (..., 2), shape (...)."""
         if error.ndim == modified_input.ndim == 1:
             e, u = error, modified_input
-            cost: FloatArray = e @ self.state_cost @ e + u @ self.input_cost @ u
+            cost: FloatArray = e.dot(self.state_cost).dot(e) + u.dot(self.input_cost).dot(u)
             return cost
         state = (error @ self.state_cost * error).sum(axis=-1)
         control = (modified_input @ self.input_cost * modified_input).sum(axis=-1)
@@ -43,31 +43,36 @@ class MotionCost:
         arc_length: FloatArray,
         duration: float,
         frame: PathFrame | None = None,
-    ) -> tuple[FloatArray, FloatArray, PathFrame]:
-        """Return the cost (...), and the target's arc length [m] (...) and frame afterwards.
+        error: FloatArray | None = None,
+        end: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray, PathFrame, FloatArray]:
+        """Return the cost (...), and the target's arc length [m] (...), frame and error afterwards.
 
         Simpson's rule along the arc of a robot that starts at a pose (..., 3) and holds a twist [v,
         w] (..., 2), with the virtual target from `arc_length` [m] (...) on, where the path has
-        `frame`, if it is known. A duration of at most 10 ms gives an error below 1e-6 of the cost.
+        `frame`, in which the robot has an `error` (..., 3), to the pose `end` (..., 3); each if it
+        is known. A duration of at most 10 ms gives an error below 1e-6 of the cost.
         """
         v, w = twist[..., 0], twist[..., 1]
         frame = frame if frame is not None else self._path.frame(arc_length)
-        first, speed = self._rates(pose, twist, arc_length, frame)
+        error = error if error is not None else tracking_error(pose, frame.pose)
+        first, speed = self._rates(error, twist, arc_length, frame)
         half = 0.5 * duration
         place = arc_length + half * speed
-        here = advance_pose(pose, v, w, half)
-        middle, speed = self._rates(here, twist, place, self._path.frame(place))
-        place = arc_length + duration * speed
-        here = advance_pose(pose, v, w, duration)
         frame = self._path.frame(place)
-        last, _ = self._rates(here, twist, place, frame)
-        return duration / 6.0 * (first + 4.0 * middle + last), place, frame
+        error = tracking_error(advance_pose(pose, v, w, half), frame.pose)
+        middle, speed = self._rates(error, twist, place, frame)
+        place = arc_length + duration * speed
+        frame = self._path.frame(place)
+        end = end if end is not None else advance_pose(pose, v, w, duration)
+        error = tracking_error(end, frame.pose)
+        last, _ = self._rates(error, twist, place, frame)
+        return duration / 6.0 * (first + 4.0 * middle + last), place, frame, error
 
     def _rates(
-        self, pose: FloatArray, twist: FloatArray, arc_length: FloatArray, frame: PathFrame
+        self, error: FloatArray, twist: FloatArray, arc_length: FloatArray, frame: PathFrame
     ) -> tuple[FloatArray, FloatArray]:
         """Return the running cost and the speed of the virtual target at a frame of the path."""
-        error = tracking_error(pose, frame.pose)
         v_des = self._reference.speed(arc_length)
         modified_input = twist - error_dynamics.feedforward(frame.curvature, v_des)
         cost_rate = self._running_cost(error, modified_input)

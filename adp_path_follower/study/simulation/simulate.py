@@ -313,10 +313,9 @@ class _ClosedLoop:
         """Return the outcome after control periods; `note` gets number, output, poses, J."""
         batch = self._starts.shape[:-1]
         last_outside = np.full(batch, -1)
-        max_inputs = np.zeros((*batch, 2))
+        max_inputs, step_times = np.zeros((*batch, 2)), np.zeros(steps + 1)
         excitation = np.full(batch, math.inf)
         cost, effort = np.zeros(batch), np.zeros(batch)
-        step_times = np.zeros(steps + 1)
         for step in range(steps + 1):
             pose, motion = self._robot.present_pose(), self._robot.measured_motion()
             begun = time.perf_counter()
@@ -369,8 +368,7 @@ class _ClosedLoop:
         """Move the robot for one period; return the cost along its true motion, shape (B,)."""
         count = math.ceil(period / _LONGEST_STEP - 1e-9)
         step = period / count
-        cost = np.zeros(self._starts.shape[:-1])
-        arc_length = output.arc_length
+        cost, arc_length, error = np.zeros(self._starts.shape[:-1]), output.arc_length, None
         frame = PathFrame(output.target_pose, output.curvature)
         for _ in range(count):
             if self._faults is not None:
@@ -378,8 +376,11 @@ class _ClosedLoop:
                 self._robot.plant = settings.plant
             start = self._robot.pose
             self._robot.step(command, step)
-            twist = self._robot.twist
-            spent, arc_length, frame = self._motion_cost(start, twist, arc_length, step, frame)
+            end = None if self._robot.plant.push[1] else self._robot.pose  # of an arc
+            spent, arc_length, frame, error = self._motion_cost(
+                start, self._robot.twist, arc_length, step, frame, error, end
+            )
+            error = None if end is None else error
             cost += spent
         return cost
 
