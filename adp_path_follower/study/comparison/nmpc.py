@@ -19,7 +19,7 @@ from adp_path_follower.core.control.riccati import RiccatiSchedule
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedReference, passing_times
-from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.groups import CostSettings, Settings
 from adp_path_follower.extras import Library
 from adp_path_follower.study.comparison.peer import PeerController
 
@@ -106,14 +106,10 @@ class HorizonSolver:
     """
 
     def __init__(self, settings: Settings) -> None:
-        """Transcribe the problem and compile its solver, if there is a compiler."""
+        """Take the solvers of the problem, and its limits."""
         limits, motion = settings.limits, settings.motion
-        problem = _transcription(settings)
-        fast = casadi.nlpsol("nmpc", "sqpmethod", problem, _SQP)
-        self._careful = casadi.nlpsol("nmpc", "ipopt", problem, _IPOPT)
-        compiled = _compiled(fast)
-        self._fast = compiled or fast
-        self.name = f"sqpmethod, {'not ' * (compiled is None)}compiled"
+        gain = settings.target.target_gain
+        self._careful, self._fast, self.name = _solvers(gain, settings.cost, motion.limited)
         lower = np.full((STEPS, _STAGE), -math.inf)
         upper = np.full((STEPS, _STAGE), math.inf)
         lower[:, _STATES:], upper[:, _STATES:] = limits.lower, limits.upper
@@ -168,12 +164,19 @@ class HorizonSolver:
         return Plan(state, stages[:, _STATES:])
 
 
-horizon_solver = functools.lru_cache(maxsize=8)(HorizonSolver)  # one for the same settings
+@functools.lru_cache(maxsize=8)
+def _solvers(target_gain: float, cost: CostSettings, limited: bool) -> tuple[Any, Any, str]:
+    """Return the safe solver, the fast one, compiled if there is a compiler, and its name."""
+    problem = _transcription(target_gain, cost, limited)
+    fast = casadi.nlpsol("nmpc", "sqpmethod", problem, _SQP)
+    compiled = _compiled(fast)
+    name = f"sqpmethod, {'not ' * (compiled is None)}compiled"
+    return casadi.nlpsol("nmpc", "ipopt", problem, _IPOPT), compiled or fast, name
 
 
-def _transcription(settings: Settings) -> dict[str, Any]:
+def _transcription(target_gain: float, cost: CostSettings, limited: bool) -> dict[str, Any]:
     """Return the nonlinear program as CasADi wants it, ordered stage by stage."""
-    step = _step_function(settings).map(STEPS)
+    step = _step_function(target_gain, cost).map(STEPS)
     stages = casadi.MX.sym("stages", _STAGE, STEPS)  # [state, command] of each
     last = casadi.MX.sym("last", _STATES)
     table = casadi.MX.sym("path", _TERMS, STEPS)
@@ -185,11 +188,11 @@ def _transcription(settings: Settings) -> dict[str, Any]:
         "x": casadi.vertcat(casadi.vec(stages), last),
         "p": casadi.vertcat(casadi.vec(table), casadi.vec(terminal)),
         "f": casadi.sum2(spent) + casadi.bilin(terminal, last[:3], last[:3]),
-        "g": casadi.vertcat(casadi.vec(gaps), *[casadi.vec(changes)] * settings.motion.limited),
+        "g": casadi.vertcat(casadi.vec(gaps), *[casadi.vec(changes)] * limited),
     }
 
 
-def _step_function(settings: Settings) -> Any:
+def _step_function(target_gain: float, cost: CostSettings) -> Any:
     """Return a CasADi function (state, command, path) -> (state after a step, its cost)."""
     state, command = casadi.SX.sym("state", _STATES), casadi.SX.sym("command", _INPUTS)
     table = casadi.SX.sym("path", _TERMS)
@@ -200,7 +203,7 @@ def _step_function(settings: Settings) -> Any:
         curvature = table[1] + ahead * (table[2] + 0.5 * ahead * table[3])
         squared = table[4] + ahead * (table[5] + 0.5 * ahead * table[6])
         v_des = casadi.sqrt(casadi.fmax(squared, _LEAST_SPEED**2))
-        speed = v_des * casadi.cos(theta) + settings.target.target_gain * s
+        speed = v_des * casadi.cos(theta) + target_gain * s
         rate = casadi.vertcat(
             speed * (curvature * y - 1.0) + command[0] * casadi.cos(theta),
             command[0] * casadi.sin(theta) - curvature * s * speed,
@@ -208,8 +211,8 @@ def _step_function(settings: Settings) -> Any:
             speed,
         )
         error, modified = now[:3], command - casadi.vertcat(v_des, v_des * curvature)
-        spent = casadi.bilin(settings.cost.state_cost_matrix(), error, error)
-        return rate, spent + casadi.bilin(settings.cost.input_cost_matrix(), modified, modified)
+        spent = casadi.bilin(cost.state_cost_matrix(), error, error)
+        return rate, spent + casadi.bilin(cost.input_cost_matrix(), modified, modified)
 
     first, first_cost = rates(state)
     second, second_cost = rates(state + 0.5 * STEP * first)
@@ -253,12 +256,12 @@ class Nmpc(PeerController):
     """
 
     def __init__(self, settings: Settings, path: Path, arc_length: ArrayLike = 0.0) -> None:
-        """Transcribe and compile the solver; once for all with the same settings."""
+        """Transcribe and compile the solver; once for all with the same cost and k1."""
         super().__init__(settings, path, arc_length)
         self._schedule = RiccatiSchedule(
             path, settings.target, settings.cost, self.reference.profile
         )
-        self._solver = horizon_solver(settings)
+        self._solver = HorizonSolver(settings)
         self.solver = self._solver.name  # such as "sqpmethod, compiled"
         self.failures = 0  # steps of any robot at which no new plan was found
         self._plans: list[Plan | None] = []

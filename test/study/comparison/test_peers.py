@@ -342,8 +342,8 @@ def test_nmpc_finds_a_solver_without_a_compiler(monkeypatch):
     from adp_path_follower.study.comparison import nmpc
 
     monkeypatch.setenv("PATH", "")
-    settings = build(Settings, {**UNLIMITED, "desired_speed": 0.4})
-    solver = nmpc.horizon_solver(settings)
+    settings = build(Settings, {**UNLIMITED, "target_gain": 0.4})
+    solver = nmpc.HorizonSolver(settings)
     assert solver.name.endswith("not compiled")
 
 
