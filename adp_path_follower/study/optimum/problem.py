@@ -229,24 +229,24 @@ class Problem:
         gain = np.linalg.solve(self.input_cost, solution[[0, 2]])
         fine = np.arange(0.0, time[-1] + _STEP, _STEP)
         command = np.zeros(2)
-        state = np.empty((len(fine), 4))
-        inputs = np.empty((len(fine), 2))
-        state[0] = [*start, self.start_arc_length]
+        state, inputs = np.empty((len(fine), 4)), np.empty((len(fine), 2))
+        error, place = start, np.asarray(self.start_arc_length)[()]
         for step in range(len(fine)):
-            curvature = self.path.curvature(state[step, 3])
-            v_des = self.reference.speed(state[step, 3])
+            state[step, :3], state[step, 3] = error, place
+            curvature, v_des = self.path.curvature(place), self.reference.speed(place)
             forward = error_dynamics.feedforward(curvature, v_des)
-            wanted = within(forward - gain @ state[step, :3], limits)
+            wanted = within(forward - gain.dot(error), limits)
             if motion.limited:
                 wanted = limited_command(wanted, command, np.zeros(2), limits, motion, _STEP)
             command, inputs[step] = wanted, wanted - forward
-            if step + 1 < len(fine):
-                zeta = np.append(state[step, :3], 0.0)
-                rate = error_dynamics.drift(zeta, curvature, target, v_des)
-                rate[:3] += (error_dynamics.input_matrix(zeta) @ inputs[step])[:3]
-                speed = error_dynamics.target_speed(zeta, target, v_des)
-                state[step + 1, :3] = np.clip(state[step, :3] + _STEP * rate[:3], -20.0, 20.0)
-                state[step + 1, 3] = state[step, 3] + _STEP * speed
+            s, y, theta = error.tolist()
+            v, w = wanted.tolist()
+            speed = v_des * math.cos(theta) + target.target_gain * s
+            along, across = v * math.cos(theta) - speed, v * math.sin(theta)
+            turn = curvature * speed
+            rate = np.array([along + turn * y, across - turn * s, w - turn])
+            error = np.minimum(np.maximum(error + _STEP * rate, -20.0), 20.0)
+            place = place + _STEP * speed
         return Motion(math.inf, fine, state, inputs).at(time)
 
 
