@@ -60,6 +60,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {here / f"{name}.py": place for place, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: places.get(item.path, len(places)))
     gc.freeze()  # modules and tests stay, and need not be looked through again and again
+    gc.set_threshold(10_000, 20, 20)  # nor what one test needs
     gc.enable()
 
 
