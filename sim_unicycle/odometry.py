@@ -62,6 +62,7 @@ class Odometry:
         # When each run's message comes, infinite if it is lost or has come; and the message.
         self._due: list[tuple[FloatArray, Reading]] = []
         self._latest = np.full(self._shape, -math.inf)  # of those times
+        self._punctual = True  # whether all have come at once
         self.reading = self._measured(0.0, pose, twist, plant)  # the last that has arrived
         self.arrived: tuple[Reading, ...] = (self.reading,)  # with the last step
 
@@ -77,6 +78,11 @@ class Odometry:
             reading = self._measured(
                 time, self._reckoned if plant.dead_reckoning else pose, twist, plant
             )
+            late = plant.odometry_delay or plant.odometry_jitter or plant.odometry_drop
+            self._punctual = self._punctual and not late
+            if self._punctual:
+                self.reading, self.arrived = reading, (reading,)
+                return
             self._due.append((self._arrival(time, plant), reading))
         self.arrived = ()
         for due, reading in self._due:

@@ -154,6 +154,11 @@ class RiccatiSchedule:
         """Return P (..., 3, 3) at curvatures [1/m], within the range, and speeds [m/s] (...)."""
         count = self.table.shape[-3]
         position = (curvature - self._start) / self._step
+        if isinstance(position, float) and self._speeds is None:  # of one robot, as is quicker
+            place = min(max(0.0, position), count - 1.0)  # 0 for NaN
+            row = min(int(place), count - 2)
+            part = place - row
+            return np.asarray((1.0 - part) * self.table[row] + part * self.table[row + 1])
         position = np.fmin(np.fmax(position, 0.0), count - 1.0)
         node = np.minimum(position.astype(np.intp), count - 2)
         share = (position - node)[..., None, None]
