@@ -403,9 +403,9 @@ def test_strings_of_a_bag_do_nothing(pages, browser):
     assert ATTACK in visit.page.inner_text("main")
 
 
-def test_it_can_be_used_without_seeing_it(pages, browser):
+def test_it_can_be_used_without_seeing_it(visits):
     """Every control has a name, every image too, and texts stand out from the page."""
-    visit = open_page(browser, pages["two"])
+    visit = visits("two")
     nameless = visit.page.evaluate(
         "[...document.querySelectorAll('button, input, select, [role=img], [role=region]')]"
         ".filter((element) => !element.closest('.modebar') && !element.getAttribute('aria-label')"
@@ -417,15 +417,15 @@ def test_it_can_be_used_without_seeing_it(pages, browser):
     # While playing, the time would be read out sixty times a second.
     assert visit.page.get_attribute("#now", "aria-live") == "off"
     assert visit.page.locator("h1").count() == 1
-    for scheme in ("light", "dark"):
+    for scheme in ("dark", "light"):
         visit.page.emulate_media(color_scheme=scheme)
         for name in ("--text", "--quiet", "--link", "--good", "--bad"):
             assert contrast(visit.page, name, "--page") >= 4.5
 
 
-def test_the_track_stands_out_from_either_page(pages, browser):
-    """Whatever the distance from the path, also after the theme has changed."""
-    visit = open_page(browser, pages["one"])
+def test_the_track_stands_out_from_either_page(visits):
+    """Whatever the distance from the path, also after the theme has changed, and back again."""
+    visit = visits("one")
     before = None
     for scheme in ("light", "dark", "light"):
         visit.page.emulate_media(color_scheme=scheme)
@@ -442,9 +442,9 @@ def test_the_track_stands_out_from_either_page(pages, browser):
         before = scale
 
 
-def test_curves_stand_out_from_either_page(pages, browser):
+def test_curves_stand_out_from_either_page(visits):
     """Also after the theme has changed: each has the same colours again."""
-    visit = open_page(browser, pages["one"])
+    visit = visits("one")
     found = {}
     for scheme in ("light", "dark", "light"):
         visit.page.emulate_media(color_scheme=scheme)

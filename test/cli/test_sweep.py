@@ -26,6 +26,7 @@ import yaml
 from adp_path_follower.core.settings.groups import Settings
 from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import flatten
+from adp_path_follower.study.sweeps import cluster
 from adp_path_follower.study.sweeps.cluster import noted_interrupts
 from adp_path_follower.study.sweeps.folder import PartsFolder
 from adp_path_follower.study.sweeps.request import read_sweep
@@ -264,7 +265,8 @@ def folder(tmp_path_factory) -> FilePath:
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_sentence_and_exit_code_2(folder, case):
+def test_bad_input_is_one_sentence_and_exit_code_2(folder, case, monkeypatch):
+    monkeypatch.setattr(cluster, "_CONNECTING", 0.5)  # nobody comes later, either
     arguments, words = BAD[case]
     refused(adp(*arguments, cwd=folder), words)
     assert not list(folder.glob("new/runs/*"))
