@@ -4,14 +4,14 @@
 
 for each layer of curvature, with the motion of equation (1), the running cost r, and the spline
 between nodes (semi-Lagrangian). Inputs that are tried: -1/2 R^-1 g^T V_e within the limits, that of
-the last sweep, and at first some from limit to limit. Far away, where the heading may be any at
-once, W(s, y) is found in the same way, by straight motion.
+the last sweep, the sharpest turns, and at first some from limit to limit. Far away, where the
+heading may be any at once, W(s, y) is found in the same way, by straight motion.
 """
 
 import functools
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,9 +35,12 @@ from adp_path_follower.core.settings.groups import (
 )
 
 _CURVATURES = np.array([0.0, 0.25, 0.6, 1.2])  # [1/m] of the layers
-_REACH = 40.0  # [m]
-_COARSE, _FINE = (25, 25, 20), (41, 41, 28)
+# [m], times the root of the length scale: the largest |s| and |y|, as values are used within half
+# of it, and the distance within which they must have settled.
+_REACH, _COUNTED = 16.0, 10.0
+_COARSE, _FINE = (19, 19, 20), (35, 35, 28)
 _STEP = 0.15  # [s] of a sweep, or less at speeds at which a step would cross ...
+_SLOWEST = 0.4  # of the usual speed: robots below that have longer steps by the root, down to this
 _STRIDE = 0.25  # [m], more on fast robots: in shorter steps the values would settle too early
 _FAR = 4.0  # [m] from which on steps grow with the distance, as the spacing of the nodes does
 _TURN = 0.3  # [rad] of the target's frame in a step
@@ -47,18 +50,16 @@ _USUAL_SPEED = 0.5  # [m/s] along the path: slower robots change their ways with
 _POLICY_EVERY = 5  # sweeps from one policy to the next
 _COARSE_SWEEPS = 60
 _SEARCHED = 30  # sweeps of the first grid that try inputs from limit to limit, too
-_COUNTED = 15.0  # [m], within which the values must have settled
 _SETTLED = 5e-5  # mean change of rho in a sweep
 _MOST_SWEEPS = 400
 _UNLIMITED = 2.0  # speeds where there is no limit, as multiples of v_des + 1/s of the distance
 _MOST_TURN = 1.0  # [rad] of a step where there is no limit
-_LEAD = 20.0  # [m] that set the target's speed on the grid: its nodes are too rare farther off
 _DISTANT, _ENDS = (40, 72), (5.0, 100.0)  # nodes, and [m] between them, of W
 _DISTANT_LAYERS = 2  # a sharper bend moves the target hardly more, beside such a distance
 _STEEP = 3.0  # root of W by the distance to begin with
 HEADINGS = np.linspace(-math.pi, math.pi, 73)[:-1]  # [rad] that are compared far away
 _COS, _SIN = np.cos(HEADINGS), np.sin(HEADINGS)
-METHOD = (7, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
+METHOD = (9, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,9 @@ class ValueProblem:
 def solve(problem: ValueProblem) -> ValueGrid:
     """Return the value function of a problem."""
     bend = _BEND * problem.length_scale
-    coarse, fine = GridAxes(_COARSE, _REACH, bend), GridAxes(_FINE, _REACH, bend)
-    far = PolarAxes(_DISTANT, *(math.sqrt(problem.length_scale) * np.array(_ENDS)).tolist())
+    root = math.sqrt(problem.length_scale)
+    coarse, fine = (GridAxes(shape, root * _REACH, bend) for shape in (_COARSE, _FINE))
+    far = PolarAxes(_DISTANT, *(root * end for end in _ENDS))
     count = len(_CURVATURES)
     riccati = riccati_solutions(
         _CURVATURES, np.full(count, problem.speed), problem.target, problem.cost
@@ -174,8 +176,9 @@ class _Nodes:
         growth = np.maximum(1.0, distance / _FAR)
         driven = self._speed + np.minimum(fastest, self._speed + distance)
         turned = abs(self._curvature) * (self._speed + self._gain * np.abs(self._nodes[..., 0]))
-        wide = np.maximum(_STEP, _TURN / np.maximum(turned, 1e-9))
-        steps = np.minimum(np.minimum(_STEP * growth, wide), self._stride * growth / driven)
+        usual = _STEP / math.sqrt(min(max(fastest / _USUAL_SPEED, _SLOWEST), 1.0))
+        wide = np.maximum(usual, _TURN / np.maximum(turned, 1e-9))
+        steps = np.minimum(np.minimum(usual * growth, wide), self._stride * growth / driven)
         return np.asarray(steps)
 
     def _moved(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -203,7 +206,7 @@ class _Nodes:
         return np.stack([cos * x + sin * z, cos * z - sin * x, theta + turn - turned], axis=-1)
 
     def _cost(self, error: FloatArray) -> FloatArray:
-        wrapped = _wrapped(error)
+        wrapped = np.concatenate([error[..., :2], wrap_angle(error[..., 2:])], axis=-1)
         return last_axis_sum((wrapped @ self._state_cost) * wrapped)
 
 
@@ -215,24 +218,24 @@ class _Layer(_Nodes):
     ) -> None:
         super().__init__(problem, axes.nodes, curvature)
         self._axes, self._riccati = axes, riccati
-        self._fastest = problem.target.desired_speed + self._gain * _LEAD
         base, slope = half_angle_form(unpacked(self._nodes), riccati)
         self._base_slope = np.stack(slope, axis=-1)
         self._base = np.maximum(base, 1e-9)
-        self._counted = self._distance < _COUNTED
+        self._counted = self._distance < _COUNTED * math.sqrt(problem.length_scale)
         scale = problem.length_scale
         self._near = (np.abs(self._nodes) < _NEAR * np.array([scale, scale, 1.0])).all(-1)
 
     def iterate(self, coefficients: FloatArray, sweeps: int, searched: int = 0) -> FloatArray:
         """Return the coefficients when sweeps change rho no more."""
-        ratio, kept = _at_nodes(coefficients), list[FloatArray]()
+        ratio, way = _at_nodes(coefficients), self._way(np.clip(0.0, self._low, self._high))
         for sweep in range(sweeps):
+            values = _onwards(way, coefficients)
             if sweep % _POLICY_EVERY == 0:
-                tried = self._trials() if sweep < searched else []
-                kept = [self._descending(ratio, coefficients), *kept[-1:], *tried]
-                best, cost, base, place = self._best(kept, coefficients)
-                kept = [best]
-            values = cost + base * _interpolated(coefficients, place) ** 2
+                for u in self._inputs(sweep, searched, ratio, coefficients):
+                    other = self._way(u)
+                    found = _onwards(other, coefficients)
+                    way = np.where(found < values, other, way)
+                    values = np.minimum(found, values)
             found = np.where(self._near, 1.0, np.sqrt(np.maximum(values, 0.0) / self._base))
             change = float(np.abs(found - ratio)[self._counted].mean())
             ratio, coefficients = found, _filtered(found)
@@ -242,34 +245,31 @@ class _Layer(_Nodes):
 
     def value(self, coefficients: FloatArray, error: FloatArray) -> FloatArray:
         """Return V of coefficients at errors (..., 3), shape (...)."""
-        base, place = self._placed(error)
-        return np.asarray(base * _interpolated(coefficients, place) ** 2)
+        return _onwards(self._ended(error, np.zeros(error.shape[:-1])), coefficients)
 
-    def _placed(self, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the form that rho^2 multiplies at errors (..., 3), and their places, (3, ...)."""
+    def _way(self, u: FloatArray) -> FloatArray:
+        """Return where a step with inputs (..., 2) leads from the nodes, as `_onwards` takes it."""
+        return self._ended(*self._moved(u))
+
+    def _ended(self, error: FloatArray, cost: FloatArray) -> FloatArray:
+        """Return a step's cost (...), and form and place of the error (..., 3) at its end."""
         s, y, theta = unpacked(error)
         place, _ = self._axes.position(s, y, theta)
         form, _ = half_angle_form((s, y, wrap_angle(theta)), self._riccati)
-        return np.maximum(form, 1e-9), np.stack(place)
+        return np.stack([cost, np.maximum(form, 1e-9), *place])
 
-    def _best(
-        self, inputs: list[FloatArray], coefficients: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return for each node the input with the least value after a step, and what it leads to.
-
-        That is the cost of the step, and form and place of where it ends.
-        """
-        values, costs, bases, places = [], [], [], []
-        for u in inputs:
-            after, cost = self._moved(u)
-            base, place = self._placed(after)
-            values.append(cost + base * _interpolated(coefficients, place) ** 2)
-            costs.append(cost)
-            bases.append(base)
-            places.append(place)
-        best = np.argmin(values, axis=0)
-        u, place = np.choose(best[..., None], inputs), np.choose(best, places)
-        return u, np.choose(best, costs), np.choose(best, bases), place
+    def _inputs(
+        self, sweep: int, searched: int, ratio: FloatArray, coefficients: FloatArray
+    ) -> Iterator[FloatArray]:
+        """Return inputs at the nodes that may be better than the last ones, (..., 2) each."""
+        wanted = self._descending(ratio, coefficients)
+        yield wanted
+        if sweep < searched:
+            yield from self._trials()
+        elif sweep % (2 * _POLICY_EVERY) == 0:
+            # Between two ways slopes may keep a robot where it is, and its value grows for ever.
+            side = self._low if sweep % (4 * _POLICY_EVERY) else self._high
+            yield np.stack([wanted[..., 0], side[..., 1]], axis=-1)
 
     def _trials(self) -> list[FloatArray]:
         """Return inputs from limit to limit at the nodes, (..., 2) each."""
@@ -355,14 +355,10 @@ class _Distant(_Nodes):
 
 def _chord(length: FloatArray, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how far an arc leads ahead and to the left of its beginning."""
-    straight = length * np.sinc(turn / (2.0 * math.pi))
-    return straight * np.cos(0.5 * turn), straight * np.sin(0.5 * turn)
-
-
-def _wrapped(error: FloatArray) -> FloatArray:
-    found = error.copy()
-    found[..., 2] = wrap_angle(error[..., 2])
-    return found
+    half = 0.5 * turn + 1e-12  # the arc of no turn is straight
+    sin = np.sin(half)
+    straight = length * sin / half
+    return straight * np.cos(half), straight * sin
 
 
 def _filtered(ratio: FloatArray) -> FloatArray:
@@ -384,6 +380,11 @@ def _interpolated(coefficients: FloatArray, place: FloatArray | Numbers) -> Floa
     place = np.asarray(place) + 1.0
     found = map_coordinates(coefficients, place, order=3, prefilter=False, mode="nearest")
     return np.asarray(found)
+
+
+def _onwards(way: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Return the cost of a step and of all that comes, by cost, form and place [nodes] (5, ...)."""
+    return np.asarray(way[0] + way[1] * _interpolated(coefficients, way[2:]) ** 2)
 
 
 def _at_nodes(coefficients: FloatArray, slope: int | None = None) -> FloatArray:

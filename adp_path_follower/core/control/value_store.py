@@ -1,6 +1,6 @@
 """Value functions on grids, found once for all processes of a user.
 
-One takes some ten seconds to find, so it is kept in a file: in $XDG_CACHE_HOME/adp_path_follower,
+One takes some four seconds to find, so it is kept in a file: in $XDG_CACHE_HOME/adp_path_follower,
 ~/.cache/adp_path_follower, or the temporary directory where there is no home. The file's name is a
 digest of the problem and of how it is solved.
 """
@@ -45,7 +45,7 @@ def value_grid(settings: Settings) -> ValueGrid:
     found = stored(problem)
     if found is None:
         _LOG.info(
-            "finding the value function far from the path: ten seconds, once for these settings"
+            "finding the value function far from the path: four seconds, once for these settings"
         )
         keep(problem, store(problem))
     return _found[problem]

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from adp_path_follower.core.control import value_store
+from adp_path_follower.core.control import value_iteration, value_store
 from adp_path_follower.core.control.value_iteration import ValueProblem
 from adp_path_follower.core.control.value_store import problem_of, stored, value_grid
 from adp_path_follower.core.path.library import named_path
 from adp_path_follower.core.settings.groups import Settings
+from adp_path_follower.core.settings.parameter_file import load_settings
 from adp_path_follower.core.settings.schema import build
+from adp_path_follower.resources import config_file
 from adp_path_follower.study.simulation.simulate import simulate
 
 DEFAULT = build(Settings, {})
@@ -189,6 +191,18 @@ def test_every_robot_comes_to_the_path(name, changes, radius, count, duration):
         rate=25.0,
     )
     assert np.abs(result.final_error).max() < 0.05
+
+
+def test_the_values_of_a_slow_robot_settle(monkeypatch):
+    """Robots that were kept between two ways once made values grow until the 400th sweep."""
+    splines, filtered = [], value_iteration._filtered
+    monkeypatch.setattr(value_iteration, "_CURVATURES", np.array([0.0, 0.25]))
+    monkeypatch.setattr(
+        value_iteration, "_filtered", lambda ratio: splines.append(ratio.shape) or filtered(ratio)
+    )
+    slow = load_settings(Settings, "path_follower", config_file("turtlebot4.yaml"))
+    grid = value_iteration.solve(problem_of(slow))
+    assert splines.count(grid.axes.shape) < 300  # of both layers
 
 
 def test_what_is_stored_is_read_again_to_the_last_bit(grid, tmp_path, monkeypatch):
