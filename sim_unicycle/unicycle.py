@@ -24,12 +24,27 @@ class Unicycle:
         """Start at rest at a pose, shape (..., 3); of a batch, `run` is the first one's number."""
         self.pose = np.array(pose, dtype=float)  # true
         self.twist = np.zeros((*self.pose.shape[:-1], 2))  # true, over the last step
-        self.plant = plant  # may be exchanged between two steps, but for the seed
+        self.plant = plant
         self._velocity = self._set = self.twist  # of the wheels, and by the firmware's ramps
         self.time = 0.0  # since the start [s]
         self._pending: deque[tuple[float, FloatArray]] = deque()
         self._effective = self.twist
         self._odometry = Odometry(self.pose, self.twist, plant, run)
+
+    @property
+    def plant(self) -> PlantSettings:
+        """Return its imperfections, which may change between two steps, but for the seed."""
+        return self._plant
+
+    @plant.setter
+    def plant(self, plant: PlantSettings) -> None:
+        self._plant, model = plant, plant.model
+        self._lowest = np.array([plant.min_linear_vel, -plant.max_angular_vel])
+        self._highest = np.array([plant.max_linear_vel, plant.max_angular_vel])
+        most = min(plant.max_linear_accel, plant.friction * _GRAVITY)
+        self._limits = np.array([most, plant.max_angular_accel])
+        self._lags = np.array([model.linear_lag, model.angular_lag])
+        self._lags_or_limits = bool((self._lags > 0.0).any() or np.isfinite(self._limits).any())
 
     @property
     def arrived(self) -> tuple[Reading, ...]:
@@ -38,18 +53,15 @@ class Unicycle:
 
     def step(self, command: FloatArray, dt: float) -> None:
         """Move for a time above 0 [s] with a command [v, w] held, shape (..., 2)."""
-        plant = self.plant
-        lowest = np.array([plant.min_linear_vel, -plant.max_angular_vel])
-        highest = np.array([plant.max_linear_vel, plant.max_angular_vel])
-        wanted = np.clip(self._delayed(np.asarray(command, dtype=float)), lowest, highest)
+        plant, before = self._plant, self._velocity
+        wanted = self._delayed(np.asarray(command, dtype=float))
+        wanted = np.minimum(np.maximum(wanted, self._lowest), self._highest)
         if min(plant.command_ramps) < math.inf:
             ramps = np.array(plant.command_ramps)
             wanted, self._set = drive(self._set, wanted, dt, np.zeros(2), ramps)
-        model = plant.model
-        limits = np.array([plant.max_linear_accel, plant.max_angular_accel])
-        limits[0] = min(limits[0], plant.friction * _GRAVITY)
-        lags = np.array([model.linear_lag, model.angular_lag])
-        wheels, self._velocity = drive(self._velocity, wanted, dt, lags, limits)
+        wheels = self._velocity = wanted
+        if self._lags_or_limits:
+            wheels, self._velocity = drive(before, wanted, dt, self._lags, self._limits)
         forward, left, turning = plant.push
         self.twist = on_the_ground(wheels, plant)
         if forward or turning:

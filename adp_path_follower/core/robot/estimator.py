@@ -82,12 +82,8 @@ class StateEstimator:
         lost = self._evidence < _LOST
         if lost.any():
             self._evidence[lost] = _ANEW
-            self._means[lost], self._covariances[lost] = self._mean, self._covariance
-
-    @property
-    def _covariance(self) -> FloatArray:
-        """Return the weighted mean of the covariances, shape (8, 8)."""
-        return np.asarray(np.tensordot(self._weights, self._covariances, 1))
+            together = np.tensordot(self._weights, self._covariances, 1)
+            self._means[lost], self._covariances[lost] = self._mean, together
 
     @property
     def state(self) -> RobotState:
