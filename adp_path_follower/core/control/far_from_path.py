@@ -89,12 +89,17 @@ _SPACING = 2.0 * math.pi / len(HEADINGS)  # [rad]
 _COUNT = np.arange(len(HEADINGS))
 _BESIDE = np.array([-1, 0, 1])
 # The coming bend is that of the piece of path which k1 adds in so many [s], for a distance ahead
-# and so much of that aside; of so many [m] at most.
+# and so much of that aside; of so many [m] at most. Robots of less than so much of the usual length
+# scale wait for their target: all that they are ahead counts, of 1 m at most. They turn while bends
+# come, by so many [m/rad].
 _COMING_TIME, _ASIDE, _MOST_COMING = 3.0, 0.3, 3.0
+_WAITING, _TURNING = 0.7, 0.3
 _PLACES = np.linspace(0.0, 1.0, 9)  # on it, as shares, and their weights in the mean
 _WEIGHTS = np.array([0.5, *[1.0] * 7, 0.5]) / 8.0
 _CHANGE_TIME = 1.0  # [s] from one policy to another
-_GRID_LEVELS = 0.7  # of `wide_region_levels`: the grid is exact where the learned policy is not yet
+# Share of `wide_region_levels`: the grid is exact where the learned policy is not yet. Less on slow
+# robots, by the length scale.
+_GRID_LEVELS = 0.7
 
 
 def missing_values(settings: Settings) -> list[ValueProblem]:
@@ -237,8 +242,14 @@ class WideRegion:
         self._half_widths: list[float] = settings.half_widths.tolist()
         if self._kind == "value_grid":
             start, end = self._levels
-            self._levels = _GRID_LEVELS * start, _GRID_LEVELS * end
             scale = min(1.0, problem_of(settings).length_scale)
+            share = min(_GRID_LEVELS, scale)
+            self._levels = share * start, share * end
+            ends = (1.0, _COMING_TIME * settings.target.target_gain), (1.0, _MOST_COMING)
+            self._ahead, self._most_coming = (
+                float(np.interp(scale, (_WAITING, 1.0), end)) for end in ends
+            )
+            self._turning = _TURNING * (1.0 - scale)
             self._half_widths[:2] = [scale * width for width in self._half_widths[:2]]
         self._is_own = self._kind not in WIDE_REGIONS
         make = OWN_FAR_POLICIES.find(self._kind) if self._is_own else None
@@ -263,10 +274,10 @@ class WideRegion:
             arc_length: Places of the target [m], shape (...).
 
         """
-        s, y, _, phi = numbers(zeta)
-        distance = clamped(s + _ASIDE * abs(y), 0.0, math.inf)
-        most = _COMING_TIME * self._settings.target.target_gain * distance
-        covered = clamped(most, 0.0, _MOST_COMING)
+        s, y, theta, phi = numbers(zeta)
+        ahead = clamped(self._ahead * (s + _ASIDE * abs(y)), 0.0, self._most_coming)
+        turning = self._turning * abs(theta)
+        covered = where(turning > ahead, turning, ahead)
         places = np.asarray(arc_length)[..., None] + np.asarray(covered)[..., None] * _PLACES
         frames = self._riccati.path.frame(places)
         curvature = frames.curvature @ _WEIGHTS

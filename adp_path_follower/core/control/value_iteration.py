@@ -34,7 +34,7 @@ from adp_path_follower.core.settings.groups import (
     TargetSettings,
 )
 
-_CURVATURES = np.array([0.0, 0.25, 0.6, 1.2])  # [1/m] of the layers
+_CURVATURES = np.array([0.0, 0.25, 0.6, 0.9, 1.2, 2.0])  # [1/m] of the layers
 # [m], times the root of the length scale: the largest |s| and |y|, as values are used within half
 # of it, and the distance within which they must have settled.
 _REACH, _COUNTED = 16.0, 10.0
@@ -53,13 +53,13 @@ _SEARCHED = 30  # sweeps of the first grid that try inputs from limit to limit, 
 _SETTLED = 5e-5  # mean change of rho in a sweep
 _MOST_SWEEPS = 400
 _UNLIMITED = 2.0  # speeds where there is no limit, as multiples of v_des + 1/s of the distance
-_MOST_TURN = 1.0  # [rad] of a step where there is no limit
+_MOST_TURN = 0.3  # [rad] of a step where there is no limit; with 1.0 steep costs left robots aside
 _DISTANT, _ENDS = (40, 72), (5.0, 100.0)  # nodes, and [m] between them, of W
 _DISTANT_LAYERS = 2  # a sharper bend moves the target hardly more, beside such a distance
 _STEEP = 3.0  # root of W by the distance to begin with
 HEADINGS = np.linspace(-math.pi, math.pi, 73)[:-1]  # [rad] that are compared far away
 _COS, _SIN = np.cos(HEADINGS), np.sin(HEADINGS)
-METHOD = (9, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
+METHOD = (10, tuple(_CURVATURES.tolist()), _REACH, _FINE)  # another one finds other values
 
 
 @dataclass(frozen=True)

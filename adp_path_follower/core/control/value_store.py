@@ -45,7 +45,7 @@ def value_grid(settings: Settings) -> ValueGrid:
     found = stored(problem)
     if found is None:
         _LOG.info(
-            "finding the value function far from the path: four seconds, once for these settings"
+            "finding the value function far from the path: five seconds, once for these settings"
         )
         keep(problem, store(problem))
     return _found[problem]

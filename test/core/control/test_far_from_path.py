@@ -292,16 +292,21 @@ BEND_OPTIMA = {
         (2.73956, -0.611216, 2.253137): 27.334997,
         (3.276312, 1.316644, 1.621613): 46.694449,
     },
+    0.15: {
+        (-1.187049, 0.541668, 3.039997): 15.059656,  # turned to the side that costs 38 % more
+        (1.230515, -1.739797, -0.475063): 18.549734,
+        (2.125124, 1.079375, -1.109185): 21.947232,
+    },
 }
 
 
 @pytest.mark.parametrize("speed", BEND_OPTIMA)
-def test_before_a_sharp_bend_a_robot_ahead_turns_to_where_the_path_will_be(speed):
+def test_before_a_sharp_bend_a_robot_turns_to_where_the_path_will_be(speed):
     starts, optimal_costs = list(BEND_OPTIMA[speed]), list(BEND_OPTIMA[speed].values())
     result = simulate(
         *(build(Settings, {"desired_speed": speed}), named_path("lissajous"), starts),
         start_arc_length=15.527,
-        duration=20.0 / speed,
+        duration=min(20.0 / speed, 60.0),
         rate=20.0,
         learning="warm",
     )
@@ -311,23 +316,32 @@ def test_before_a_sharp_bend_a_robot_ahead_turns_to_where_the_path_will_be(speed
     assert ratio.max() < 1.015
 
 
-def test_the_circle_that_counts_ends_where_the_coming_piece_of_path_does():
-    chosen, path, place = build(Settings, {}), named_path("lissajous"), np.full(3, 15.527)
+@pytest.mark.parametrize(
+    ("speed", "zeta", "covered"),
+    [
+        (0.5, [4.0, 0.0, 3.0, 0.5], 1.2),  # 0.3 of the distance ahead [m]
+        (0.5, [2.0, -4.0, -1.0, 0.5], 0.96),  # aside counts 0.3 of that
+        (0.5, [14.0, 0.0, 3.0, 0.5], 3.0),  # 3 m at most
+        (0.25, [4.0, 0.0, 0.5, 0.5], 1.0),  # a slow robot waits there, for 1 m at most
+        (0.5, [-4.0, 3.0, 0.3, 0.5], 0.0),  # behind its target, more than aside: as it is
+        (0.1, [-4.0, 3.0, 3.0, 0.5], 0.72),  # 0.8 * 0.3 m for each rad that a slow robot turns
+        (0.1, [0.4, 0.0, -1.0, 0.5], 0.4),  # the longer of both: all that a slow one is ahead
+    ],
+)
+def test_the_circle_that_counts_ends_where_the_coming_piece_of_path_does(speed, zeta, covered):
+    chosen, path = build(Settings, {"desired_speed": speed}), named_path("lissajous")
     region = WideRegion(chosen, steady_schedule(path, chosen.target, chosen.cost))
-    zeta = np.array([[4.0, 0.0, 3.0, 0.5], [2.0, -4.0, -1.0, 0.5], [-4.0, 3.0, 0.3, 0.5]])
-    found, curvature = region.seen(zeta, place)
-    # 4 m ahead, k1 = 0.1 adds 0.4 m/s; 3 s of it. Aside counts 0.3 of that.
-    covered = np.array([1.2, 0.96, 0.0])
-    robot = pose_in_frame(zeta[:, :3], path.frame(place).pose)
-    arc = advance_pose(np.zeros((3, 3)), covered, covered * curvature, 1.0)
-    end = path.frame(place + covered).pose
-    there = tracking_error(robot, end)
-    np.testing.assert_allclose(tracking_error(found[:, :3], arc), there, atol=1e-6)
-    np.testing.assert_allclose(
-        found[2], zeta[2], atol=1e-9
-    )  # behind its target, more than aside: as it is
-    assert curvature[2] == pytest.approx(path.curvature(15.527))
-    assert abs(found[0, 1] - zeta[0, 1]) > 0.05  # the bend is no circle
+    place, state = np.array(15.527), np.array(zeta)
+    found, curvature = region.seen(state, place)
+    robot = pose_in_frame(state[:3], path.frame(place).pose)
+    arc = advance_pose(np.zeros(3), covered, covered * curvature, 1.0)
+    there = tracking_error(robot, path.frame(place + covered).pose)
+    np.testing.assert_allclose(tracking_error(found[:3], arc), there, atol=1e-6)
+    assert found[3] == 0.5
+    if covered:
+        assert abs(curvature) > 1.1 * abs(path.curvature(15.527))  # a sharp bend comes
+    else:
+        np.testing.assert_allclose(found, state, atol=1e-9)
 
 
 @settings(max_examples=30)
