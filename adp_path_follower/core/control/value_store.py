@@ -1,6 +1,6 @@
 """Value functions on grids, found once for all processes of a user.
 
-One takes some four seconds to find, so it is kept in a file: in $XDG_CACHE_HOME/adp_path_follower,
+One takes some five seconds to find, so it is kept in a file: in $XDG_CACHE_HOME/adp_path_follower,
 ~/.cache/adp_path_follower, or the temporary directory where there is no home. The file's name is a
 digest of the problem and of how it is solved.
 """
