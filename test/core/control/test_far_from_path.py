@@ -306,7 +306,7 @@ def test_before_a_sharp_bend_a_robot_turns_to_where_the_path_will_be(speed):
     result = simulate(
         *(build(Settings, {"desired_speed": speed}), named_path("lissajous"), starts),
         start_arc_length=15.527,
-        duration=min(20.0 / speed, 60.0),
+        duration=20.0 / speed,
         rate=20.0,
         learning="warm",
     )
@@ -342,6 +342,12 @@ def test_the_circle_that_counts_ends_where_the_coming_piece_of_path_does(speed, 
         assert abs(curvature) > 1.1 * abs(path.curvature(15.527))  # a sharp bend comes
     else:
         np.testing.assert_allclose(found, state, atol=1e-9)
+        assert curvature == pytest.approx(path.curvature(15.527))
+    if covered > 1.0:
+        assert abs(found[1] - state[1]) > 0.05  # the bend is no circle
+    many, curvatures = region.seen(np.stack([np.zeros(4), state]), np.full(2, 15.527))
+    np.testing.assert_allclose(many[1], found, atol=1e-9)
+    assert curvatures[1] == pytest.approx(curvature)
 
 
 @settings(max_examples=30)

@@ -72,7 +72,9 @@ SLOW_OPTIMA = {
 def test_slow_robots_leave_the_polynomial_nearer_to_the_path(name, place):
     slow, optima = build(Settings, {"desired_speed": 0.22}), SLOW_OPTIMA[name]
     result = simulate(
-        *(slow, named_path(name), list(optima)),
+        slow,
+        named_path(name),
+        list(optima),
         learning="warm",
         duration=40.0,
         start_arc_length=place,
@@ -206,7 +208,7 @@ def test_every_robot_comes_to_the_path(name, changes, radius, count, duration):
 
 def test_no_robot_without_limits_stays_aside_where_that_costs_much():
     """Values that rippled between the headings once kept robots of these costs aside for ever."""
-    starts = np.random.default_rng(8).uniform(-1.0, 1.0, (60, 3)) * [1.0, 1.0, 1.0]
+    starts = np.random.default_rng(8).uniform(-1.0, 1.0, (60, 3))
     starts[:2] = [-0.832, 0.665, 0.601], [-0.967, 0.627, 0.864]
     free = {"min_linear_vel": -math.inf, "max_linear_vel": math.inf, "max_angular_vel": math.inf}
     result = simulate(
