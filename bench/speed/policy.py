@@ -22,8 +22,8 @@ from tick import Drive
 from timing import Row, arguments, in_turns, ratio, report
 
 from adp_path_follower.core.basis import Basis, PolynomialBasis
-from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.virtual_target import VirtualTarget
+from adp_path_follower.core.driving.output import ControlOutput
 from adp_path_follower.core.geometry import FloatArray, advance_pose, pose_in_frame
 from adp_path_follower.core.learning.knot_model import KnotModel, fit
 from adp_path_follower.core.path.library import lissajous

@@ -228,7 +228,7 @@ class Recorded:
 
     def step(self, pose, dt):
         """Return a zero command."""
-        from adp_path_follower.core.control.interface import ControlOutput
+        from adp_path_follower.core.driving.output import ControlOutput
 
         self.measured[round(self.time, 6)] = pose
         self.time += dt

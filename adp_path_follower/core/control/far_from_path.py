@@ -7,6 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
+from adp_path_follower.core.control import error_dynamics
+from adp_path_follower.core.control.dynamic_programming import State
 from adp_path_follower.core.control.fallback import RiccatiPolicy
 from adp_path_follower.core.control.policy import descending_input, saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
@@ -96,7 +98,6 @@ _COMING_TIME, _ASIDE, _MOST_COMING = 3.0, 0.3, 3.0
 _WAITING, _TURNING = 0.7, 0.3
 _PLACES = np.linspace(0.0, 1.0, 9)  # on it, as shares, and their weights in the mean
 _WEIGHTS = np.array([0.5, *[1.0] * 7, 0.5]) / 8.0
-_CHANGE_TIME = 1.0  # [s] from one policy to another
 # Share of `wide_region_levels`: the grid is exact where the learned policy is not yet. Less on slow
 # robots, by the length scale.
 _GRID_LEVELS = 0.7
@@ -228,21 +229,18 @@ class ApproachPolicy:
 class WideRegion:
     """A policy that takes over from the learned one outside the region of the samples."""
 
-    def __init__(
-        self, settings: Settings, riccati: RiccatiSchedule, before: "WideRegion | None" = None
-    ) -> None:
-        """Take levels, limits and kind from the settings; lead over from the policy before."""
+    def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
+        """Take levels, limits and kind from the settings."""
         self._settings, self._riccati = settings, riccati
-        self._before, self._since = before, 0.0  # [s] from that one on
-        if before is not None:
-            before._before = None  # only one policy is left at a time
         self._kind = settings.policy.wide_region
         # Errors, in half-widths of the samples, between which the policy changes.
         self._levels = settings.policy.wide_region_levels
+        self._near, self._reach = RiccatiPolicy(settings, riccati), 0.0
         self._half_widths: list[float] = settings.half_widths.tolist()
         if self._kind == "value_grid":
             start, end = self._levels
-            scale = min(1.0, problem_of(settings).length_scale)
+            length_scale = problem_of(settings).length_scale
+            scale, self._reach = min(1.0, length_scale), math.sqrt(length_scale) * _GRID_ENDS[0]
             share = min(_GRID_LEVELS, scale)
             self._levels = share * start, share * end
             ends = (1.0, _COMING_TIME * settings.target.target_gain), (1.0, _MOST_COMING)
@@ -262,6 +260,11 @@ class WideRegion:
             self._far = ApproachPolicy(settings, riccati)
         else:
             self._far = RiccatiPolicy(settings, riccati)
+
+    @property
+    def knows_circles(self) -> bool:
+        """Return whether its policy takes the path that comes for a circle."""
+        return self._kind == "value_grid"
 
     def seen(self, zeta: FloatArray, arc_length: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the robot's states and the curvature [1/m] that the far policy is to count.
@@ -285,41 +288,30 @@ class WideRegion:
         begin = advance_pose(end, -covered, -covered * curvature, 1.0)
         return components(*numbers(tracking_error(zeta[..., :3], begin)), phi), curvature
 
-    def blend(
-        self,
-        learned: FloatArray,
-        arc_length: FloatArray,
-        zeta: FloatArray,
-        curvature: FloatArray,
-        feedforward: FloatArray,
-        dt: float = 0.0,
-    ) -> FloatArray:
-        """Return the modified input, shape (..., 2), learned near the path and this far from it.
+    def reaches(self, state: State) -> bool:
+        """Return whether the grid's slopes drive at s and y [m]."""
+        return math.hypot(state[0], state[1]) < self._reach
 
-        The learned input is within the limits, (..., 2), and the target at `arc_length` [m] (...);
-        the rest is as in `modified_input`, dt [s] after the last step.
-        """
-        place = (arc_length, zeta, curvature, feedforward)
-        here = self._alone(learned, *place)
-        self._since += dt
-        if self._since >= _CHANGE_TIME:
-            self._before = None
-        if self._before is None:
-            return here
-        before = self._before._alone(learned, *place)
-        return before + self._since / _CHANGE_TIME * (here - before)
+    def is_near(self, state: State) -> bool:
+        """Return whether a state is within the region of the samples."""
+        s, y, theta, _ = state
+        error = np.array([s, y, wrap_angle(theta)])
+        return bool((abs(error) < self._settings.half_widths).all())
 
-    def _alone(self, learned: FloatArray, *place: FloatArray) -> FloatArray:
-        """Return the input as `blend`, without the policy before."""
-        share = self.share(place[1])
-        if not anywhere(share > 0.0):
-            return learned
-        far, part = self.far_input(*place), np.asarray(share)[..., None]
-        return np.asarray((1.0 - part) * learned + part * far)
-
-    def drives_alone(self, share: FloatArray) -> bool:
-        """Return whether `far_input` is the input of `blend` where `share` is this (...)."""
-        return self._before is None and not anywhere(share != 1.0)
+    def driven_input(self, state: State) -> FloatArray:
+        """Return u (2,) of the far policy at a state, and of the Riccati policy near the path."""
+        s, y, theta, place = state
+        arc_length = np.asarray(place)[()]
+        curvature = self._riccati.path.curvature(arc_length)
+        v_des = self._riccati.profile.model_speed(arc_length)
+        zeta = np.array([s, y, wrap_angle(theta), 0.0])
+        there = zeta, curvature, error_dynamics.feedforward(curvature, v_des)
+        share = self.share(zeta)
+        near = self._near.modified_input(*there) if share < 1.0 else np.zeros(2)
+        if not share > 0.0:
+            return near
+        far = self.far_input(arc_length, *there)
+        return np.asarray((1.0 - share) * near + share * far)
 
     def far_input(
         self,
@@ -328,7 +320,10 @@ class WideRegion:
         curvature: FloatArray,
         feedforward: FloatArray,
     ) -> FloatArray:
-        """Return the far policy's modified input (..., 2), of arguments as in `blend`."""
+        """Return the far policy's modified input (..., 2) for targets at arc lengths [m] (...).
+
+        The rest is as in `FarPolicy.modified_input`.
+        """
         if self._kind == "value_grid":
             zeta, curvature = self.seen(zeta, arc_length)
         far = np.asarray(self._far.modified_input(zeta, curvature, feedforward))

@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 
 from adp_path_follower.core.control.actuation import Actuation
-from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.driving.output import ControlOutput
 from adp_path_follower.core.geometry import FloatArray, tracking_error, wrap_angle
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.path.speed_profile import SHARE

@@ -8,7 +8,7 @@ numbered as they are used here:
     (3)  u within the limits less [v_ss, w_ss]                      the constrained minimiser
     (4)  delta = e^T Q e + u^T R u + Wc^T omega,  omega = sigma' (f + g u)       Bellman error
     (5)  doubt where delta or Wc^T sigma breaks its bound           `control.fallback`
-    (6)  u moves to the Riccati policy's by doubt, and far from the path to the far policy's;
+    (6)  u moves to the Riccati policy's by doubt, and far away to that of `control.lookahead`;
          a robot that is not ideal is held on the path (`control.near_path`)
     (7)  [v, w] = [v_ss, w_ss] + u within the limits of velocity and acceleration
 
@@ -23,7 +23,7 @@ from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.actuation import Actuation
 from adp_path_follower.core.control.cost import RunningCost
 from adp_path_follower.core.control.fallback import Fallback
-from adp_path_follower.core.control.far_from_path import WideRegion
+from adp_path_follower.core.control.lookahead import FarFromPath
 from adp_path_follower.core.control.near_path import NearPath
 from adp_path_follower.core.control.policy import descending_input, saturate, within
 from adp_path_follower.core.control.riccati import RiccatiSchedule
@@ -51,7 +51,7 @@ class CommandLaw:
         self._basis = settings.learning.value_basis
         self._running_cost = RunningCost(settings.cost)
         self._inverse_cost = settings.cost.inverse_input_cost()
-        self._wide_region = WideRegion(settings, riccati)
+        self._far = FarFromPath(settings, riccati)
         self.fallback = Fallback(settings, riccati)
         self._near_path = near_path
         self.robot_is_ideal = True  # whether the robot moves as it is told; else it is held
@@ -59,7 +59,7 @@ class CommandLaw:
     def change(self, settings: Settings) -> None:
         """Go on with other settings; another far policy takes over without a step."""
         if settings.policy != self.settings.policy:
-            self._wide_region = WideRegion(settings, self._riccati, self._wide_region)
+            self._far = FarFromPath(settings, self._riccati, self._far)
         self.settings = settings
 
     def step(
@@ -71,17 +71,17 @@ class CommandLaw:
         the curvature [1/m] (...) half way through the period for which the command will be held.
         """
         here = self.situation(target, target.v_des, coming)
-        share, learned = self._wide_region.share(here.zeta), None
-        if self._wide_region.drives_alone(share):  # whatever was learned
+        share, learned = self._far.region.share(here.zeta), None
+        if self._far.drives_alone(share):  # whatever was learned
             doubt = self.fallback.undoubted(here.arc_length.shape, dt)
-            applied = self._wide_region.far_input(here.arc_length, *here.place)
+            applied = self._far.far_input(dt, here.arc_length, *here.place)
         else:
             learned = self.actor_input(here)
             running_cost, measured = self._bellman_error(here, learned)
             judged = here, learned, running_cost, measured
             doubt = self._doubt(target, dt, coming, share < 1.0, *judged)
             applied = self.fallback.blend(learned, doubt, *here.place)
-            applied = self._wide_region.blend(applied, here.arc_length, *here.place, dt)
+            applied = self._far.blend(applied, dt, here.arc_length, *here.place)
         if self._near_path is not None and not self.robot_is_ideal:
             applied = self._near_path.held(applied, *here.place)
         # Within the limits once more, for blending and adding round: -6e-17 m/s is backwards.

@@ -1,12 +1,14 @@
-"""Beginning and result of one control step, as telemetry, replay and simulation take it."""
+"""Beginning and result of one control step, and the interface of every controller here."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from adp_path_follower.core.basis import Expansion, Numbers
-from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.learning.bellman import BellmanErrors, SampleEvidence
 from adp_path_follower.core.learning.weights import Weights
+from adp_path_follower.core.path.curve import Path
+from adp_path_follower.core.settings.groups import Settings
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,38 @@ class Situation:
     def place(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return zeta, kappa and [v_ss, w_ss], as policies take them."""
         return self.zeta, self.curvature, self.feedforward
+
+
+@dataclass(frozen=True)
+class ControlOutput:
+    """The result of one control step; arrays have the leading axes of the pose.
+
+    Attributes:
+        command: [v, w] to apply [m/s, rad/s], shape (..., 2).
+        modified_input: u = [v_e, w_e], the command less its feedforward, shape (..., 2).
+        error: e = [s, y, theta] [m, m, rad], shape (..., 3).
+        target_pose: Pose of the virtual target, shape (..., 3).
+        arc_length: s_p [m], shape (...).
+        curvature: kappa at the target [1/m], shape (...).
+
+    """
+
+    command: FloatArray
+    modified_input: FloatArray
+    error: FloatArray
+    target_pose: FloatArray
+    arc_length: FloatArray
+    curvature: FloatArray
+
+
+class Controller(Protocol):
+    """A controller that follows a path: one robot, or a batch of robots by leading axes."""
+
+    settings: Settings
+    path: Path
+
+    def step(self, pose: FloatArray, dt: float) -> ControlOutput:
+        """Return the command for poses [x, y, theta], shape (..., 3), after dt [s]."""
 
 
 @dataclass(frozen=True)

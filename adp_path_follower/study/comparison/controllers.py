@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.driving.output import ControlOutput
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.curve import Path
 from adp_path_follower.core.registry import Registry, load_plugins

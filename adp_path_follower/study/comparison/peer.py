@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike
 
 from adp_path_follower.core.control import error_dynamics
 from adp_path_follower.core.control.actuation import Actuation
-from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.control.policy import within
 from adp_path_follower.core.control.virtual_target import VirtualTarget
+from adp_path_follower.core.driving.output import ControlOutput
 from adp_path_follower.core.geometry import FloatArray, Number
 from adp_path_follower.core.path.curve import Path, PathFrame
 from adp_path_follower.core.path.speed_profile import SpeedProfile, SpeedReference

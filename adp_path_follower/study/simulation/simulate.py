@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike
 
 from adp_path_follower import criteria
 from adp_path_follower.core.control.cost import MotionCost
-from adp_path_follower.core.control.interface import Controller, ControlOutput
 from adp_path_follower.core.control.virtual_target import VirtualTarget
 from adp_path_follower.core.driving.follower import PathFollower
-from adp_path_follower.core.driving.output import FollowerOutput
+from adp_path_follower.core.driving.output import Controller, ControlOutput, FollowerOutput
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.files import read_csv_columns
 from adp_path_follower.core.geometry import FloatArray, pose_in_frame, tracking_error

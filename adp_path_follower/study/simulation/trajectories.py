@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from adp_path_follower.core.control.interface import ControlOutput
-from adp_path_follower.core.driving.output import FollowerOutput
+from adp_path_follower.core.driving.output import ControlOutput, FollowerOutput
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.learning.weights import Weights
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from adp_path_follower import criteria
-from adp_path_follower.core.control.interface import ControlOutput
 from adp_path_follower.core.driving.follower import PathFollower
+from adp_path_follower.core.driving.output import ControlOutput
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.geometry import FloatArray
 from adp_path_follower.core.path.curve import Path

@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as npst
 from steady import steady_schedule
 
 from adp_path_follower.core.control.far_from_path import WideRegion
+from adp_path_follower.core.control.lookahead import FarFromPath
 from adp_path_follower.core.control.riccati import riccati_solution
 from adp_path_follower.core.driving.follower import PathFollower
 from adp_path_follower.core.geometry import advance_pose, pose_in_frame, tracking_error
@@ -52,7 +53,7 @@ def region_and_place(kind, error, curvature=0.0, **values):
     """Return the region and its arguments at errors (..., 3) on a path of constant curvature."""
     path = BEND if curvature else LINE
     chosen = tuning(kind, **values)
-    region = WideRegion(chosen, steady_schedule(path, chosen.target, chosen.cost))
+    region = FarFromPath(chosen, steady_schedule(path, chosen.target, chosen.cost))
     zeta = np.concatenate([error, np.zeros((*error.shape[:-1], 1))], axis=-1)
     kappa = np.full(error.shape[:-1], curvature)
     steady = 0.5 * np.stack([np.ones_like(kappa), kappa], axis=-1)
@@ -61,7 +62,7 @@ def region_and_place(kind, error, curvature=0.0, **values):
 
 def blended(kind, error, learned, curvature=0.0, **values):
     region, place = region_and_place(kind, error, curvature, **values)
-    return region.blend(learned, *place)
+    return region.blend(learned, 0.0, *place)
 
 
 def at_level(direction, level):
@@ -84,8 +85,8 @@ def test_far_from_the_path_the_learned_input_does_not_matter(kind, direction, le
     error = at_level(direction, level * (1.0 + 1e-12))
     assert blended(kind, error, learned).tolist() == blended(kind, error, -learned).tolist()
     region, place = region_and_place(kind, error)
-    assert region.drives_alone(region.share(error))
-    assert region.far_input(*place).tolist() == blended(kind, error, learned).tolist()
+    assert region.drives_alone(region.region.share(error))
+    assert region.far_input(0.0, *place).tolist() == blended(kind, error, learned).tolist()
 
 
 @settings(max_examples=60)
@@ -286,16 +287,29 @@ BEND_OPTIMA = {
         (4.668302, 1.712984, 2.074089): 82.077384,
         (4.245302, 1.638639, 0.224119): 51.676595,
         (-1.960918, -4.60101, -1.605145): 89.2505,  # behind it and aside: 3.8 % more with a piece
+        (4.031718, -4.323217, 1.0853): 99.694815,
+        (2.050858, -2.899662, -0.475063): 33.280874,
+        (3.541873, 1.798958, -1.109185): 41.038501,
     },
     0.25: {
         (2.783835, -3.053613, -0.209098): 57.999239,  # once 13 %, by counting too long a piece
         (2.73956, -0.611216, 2.253137): 27.334997,
         (3.276312, 1.316644, 1.621613): 46.694449,
     },
+    0.22: {
+        (0.806344, -0.864643, 0.361767): 4.361832,
+        (0.410172, -0.579932, -0.158354): 1.932404,
+        (0.708375, 0.359792, -0.369728): 1.775835,
+    },
     0.15: {
         (-1.187049, 0.541668, 3.039997): 15.059656,  # turned to the side that costs 38 % more
         (1.230515, -1.739797, -0.475063): 18.549734,
         (2.125124, 1.079375, -1.109185): 21.947232,
+        (0.410172, -0.579932, -0.158354): 2.490044,
+    },
+    0.1: {
+        (0.410172, -0.579932, -0.158354): 3.141272,
+        (0.708375, 0.359792, -0.369728): 3.142951,
     },
 }
 
@@ -306,14 +320,14 @@ def test_before_a_sharp_bend_a_robot_turns_to_where_the_path_will_be(speed):
     result = simulate(
         *(build(Settings, {"desired_speed": speed}), named_path("lissajous"), starts),
         start_arc_length=15.527,
-        duration=20.0 / speed,
-        rate=20.0,
+        duration=min(20.0 / speed, 60.0),
+        rate=50.0,
         learning="warm",
     )
     ratio = result.cost / optimal_costs
     assert ratio.min() > 0.999
-    assert np.median(ratio) < 1.004
-    assert ratio.max() < 1.015
+    assert np.median(ratio) < 1.0015
+    assert ratio.max() < 1.01
 
 
 @pytest.mark.parametrize(

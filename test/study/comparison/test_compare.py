@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from steady import steady_target
 
-from adp_path_follower.core.control.interface import ControlOutput
+from adp_path_follower.core.driving.output import ControlOutput
 from adp_path_follower.core.errors import AdpError
 from adp_path_follower.core.path.library import circle, named_path
 from adp_path_follower.core.settings.groups import Settings
