@@ -95,15 +95,17 @@ class FarFromPath:
             far = self.region.far_input(*place) if u is None else u
             return ahead.eased(dt, far, u is None, feedforward)
         far = self.region.far_input(*place)
-        is_far = self.region.share(zeta) > 0.0
+        rows, is_far = far.reshape(-1, 2), np.ravel(self.region.share(zeta) > 0.0)
+        places, states = np.ravel(arc_length), zeta.reshape(-1, 4)
+        steady = feedforward.reshape(-1, 2)
         for index in np.flatnonzero(~is_far).tolist():
             self._lookaheads.pop(index, None)
         for index in np.flatnonzero(is_far).tolist():
             ahead = self._lookahead(index, self._model)
-            u = ahead.input(dt, _state(arc_length[index], zeta[index]))
-            chosen = far[index].copy() if u is None else u
-            far[index] = ahead.eased(dt, chosen, u is None, feedforward[index])
-        return far
+            u = ahead.input(dt, _state(places[index], states[index]))
+            chosen = rows[index].copy() if u is None else u
+            rows[index] = ahead.eased(dt, chosen, u is None, steady[index])
+        return rows.reshape(far.shape)
 
     def _lookahead(self, index: int, model: MotionModel) -> "Lookahead":
         """Return that of a robot, a new one if it has just come to be far from the path."""

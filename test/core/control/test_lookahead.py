@@ -182,11 +182,14 @@ def test_many_robots_take_the_way_of_each_alone():
     errors = np.array([[2.0, -2.9, -0.5], [0.1, 0.0, 0.1], [-4.5, -3.2, 3.0], [1.0, -2.6, -0.7]])
     poses = pose_in_frame(errors, PATH.frame(BEND).pose)
     together = PathFollower(chosen, PATH, np.full(4, BEND))
+    square = PathFollower(chosen, PATH, np.full((2, 2), BEND))
     alone = [PathFollower(chosen, PATH, BEND) for _ in errors]
     for _ in range(150):
         commands = together.step(poses, 0.01).command
         each = [one.step(pose, 0.01).command for one, pose in zip(alone, poses, strict=True)]
         np.testing.assert_allclose(each, commands, rtol=1e-6, atol=1e-6)
+        in_rows = square.step(poses.reshape(2, 2, 3), 0.01).command
+        np.testing.assert_allclose(in_rows.reshape(4, 2), commands, rtol=1e-9, atol=1e-9)
         poses = advance_pose(poses, commands[:, 0], commands[:, 1], 0.01)
 
 
