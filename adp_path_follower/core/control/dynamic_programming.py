@@ -41,7 +41,7 @@ class Motion:
     """A motion of one robot in K steps.
 
     Attributes:
-        times: Of the states [s], K + 1 numbers.
+        times: When each state is reached [s], K + 1 numbers.
         states: x, shape (K + 1, 4).
         inputs: u, each held in a step, shape (K, 2).
         cost: J of the motion, with the Riccati solution's value at its end.
