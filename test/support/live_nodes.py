@@ -50,7 +50,7 @@ class Peer:
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self.received: dict[str, list[Any]] = {}
-        self.sent = 0  # odometry messages
+        self.sent, self.stamped = 0, 0.0  # odometry messages, and the last stamp [s]
         self._clients: dict[str, Any] = {}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.odometry = self.node.create_publisher(Odometry, "odom", 10)
@@ -159,10 +159,12 @@ class Peer:
         """Publish odometry of now.
 
         `changes` replaces fields like x, qw, v or child_frame_id, to break them; `later` moves the
-        stamp [s], and `stamp` replaces it.
+        stamp [s], `stamp` replaces it, and `back` sets it so long before the last one.
         """
         time = changes.pop("stamp", 1e-9 * self.node.get_clock().now().nanoseconds)
-        stamp = round(1e9 * (time + changes.pop("later", 0.0)))
+        time = self.stamped - changes.pop("back") if "back" in changes else time
+        self.stamped = time + changes.pop("later", 0.0)
+        stamp = round(1e9 * self.stamped)
         message = odometry_message(stamp, np.array(pose), np.zeros(2), FRAMES)
         for name, value in changes.items():
             if name == "child_frame_id":
