@@ -33,7 +33,6 @@ _HOLDS = (0.1, 0.1, 0.2, 0.1)
 State = tuple[float, float, float, float]  # s [m], y [m], theta [rad], s_p [m]
 # From time [s], state, and time [s] for which it is held, to the input u (2,) within the limits.
 Policy = Callable[[float, State, float], FloatArray]
-_Rates = tuple[Number, Number, Number, Number]
 
 
 @dataclass(frozen=True)
@@ -113,11 +112,16 @@ def _between(rows: FloatArray, times: list[float], time: float) -> list[float]:
 
 
 class MotionModel:
-    """The error dynamics of one robot on its path, driven ahead in thought."""
+    """The error dynamics of one robot on its path, driven ahead in thought.
+
+    Attributes:
+        limits: Those of the command.
+
+    """
 
     def __init__(self, settings: Settings, riccati: RiccatiSchedule) -> None:
         """Take the settings, and path, speeds and the value at the end of a motion."""
-        self._riccati, self._limits = riccati, settings.limits
+        self._riccati, self.limits = riccati, settings.limits
         self._target, self._running_cost = settings.target, RunningCost(settings.cost)
         longest = _STRIDE / settings.target.desired_speed
         self._steps = _STEPS * min(1.0, longest / _STEPS[-1])
@@ -177,7 +181,7 @@ class MotionModel:
 
     def limited(self, u: FloatArray, place: float) -> FloatArray:
         """Return an input (2,) within the limits of the command at a place [m]."""
-        return saturate(u, error_dynamics.feedforward(*self._place(place)), self._limits)
+        return saturate(u, error_dynamics.feedforward(*self._place(place)), self.limits)
 
     def _place(self, place: float) -> tuple[FloatArray, float]:
         """Return curvature [1/m] and v_des [m/s] at a place [m]."""
@@ -187,9 +191,7 @@ class MotionModel:
     def _after(self, state: State, middle: State, u: FloatArray, time: float) -> State:
         """Return the state after a time [s], with the rates at another state on the way."""
         s, y, theta, place = middle
-        curvature, v_des = self._place(place)
-        rates = self._rates((s, y, theta), u.tolist(), float(curvature), v_des)
-        by_s, by_y, by_theta, by_place = rates
+        by_s, by_y, by_theta, by_place = self._rates((s, y, theta), u.tolist(), *self._place(place))
         return (
             float(state[0] + time * by_s),
             float(state[1] + time * by_y),
@@ -198,18 +200,14 @@ class MotionModel:
         )
 
     def _rates(
-        self, error: tuple[Number, ...], u: tuple[Number, ...], kappa: Number, v_des: Number
-    ) -> _Rates:
-        """Return x' of equation (1), each of shape (...)."""
-        (s, y, theta), (v_e, w_e) = error, u
-        along, across = cos(theta), sin(theta)
-        speed, v = v_des * along + self._target.target_gain * s, v_des + v_e
-        return (
-            speed * (kappa * y - 1.0) + v * along,
-            v * across - kappa * s * speed,
-            w_e + kappa * (v_des - speed),
-            speed,
-        )
+        self, error: tuple[Number, ...], u: tuple[Number, ...], kappa: FloatArray, v_des: Number
+    ) -> tuple[FloatArray, ...]:
+        """Return x' for s, y and theta, and u, four numbers of shape (...)."""
+        (s, _, theta), (v_e, w_e) = error, u
+        along = cos(theta)
+        speed = v_des * along + self._target.target_gain * s
+        by_s, by_y, by_theta = error_dynamics.error_rates(error, kappa, speed, v_des)
+        return by_s + along * v_e, by_y + sin(theta) * v_e, by_theta + w_e, speed
 
     def _linearised(self, motion: Motion) -> "_Steps":
         """Return the derivatives of all steps, with rates in the middle of each."""
@@ -231,7 +229,7 @@ class MotionModel:
         slopes[:, 4:] += (input_costs @ u[..., None])[..., 0]
         bends[:, 4:, 4:] += input_costs
         commands = error_dynamics.feedforward(middle.kappa, middle.v_des) + u
-        low, high = self._limits.lower - commands, self._limits.upper - commands
+        low, high = self.limits.lower - commands, self.limits.upper - commands
         return _Steps(changes, slopes, bends, low, high, np.stack(middle.numbers, axis=1))
 
     def _surroundings(self, states: FloatArray, u: FloatArray) -> "_Surroundings":

@@ -44,19 +44,27 @@ def feedforward(curvature: FloatArray, v_des: Number) -> FloatArray:
     return components(v_des, v_des * curvature)
 
 
+def error_rates(
+    error: tuple[Number, ...], curvature: FloatArray, speed: Number, v_des: Number
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return s', y' and theta' of f, (...) each, for s, y and theta, kappa [1/m] and s_p' [m/s]."""
+    s, y, theta = error
+    # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
+    return (
+        speed * (curvature * y - 1.0) + v_des * cos(theta),
+        v_des * sin(theta) - curvature * s * speed,
+        curvature * (v_des - speed),
+    )
+
+
 def drift(
     zeta: FloatArray, curvature: FloatArray, target: TargetSettings, v_des: Number
 ) -> FloatArray:
     """Return f of zeta' = f(zeta) + g(zeta) u at states (..., 4), kappa [1/m] and v_des [m/s]."""
     s, y, theta, phi = numbers(zeta)
     speed = target_speed(zeta, target, v_des)
-    # With s_p' in one piece these are the printed terms: v_des cos(theta) cancels in s'.
-    return components(
-        speed * (curvature * y - 1.0) + v_des * cos(theta),
-        v_des * sin(theta) - curvature * s * speed,
-        curvature * (v_des - speed),
-        target.path_state_gain * (1.0 - phi * phi) * speed,
-    )
+    rates = error_rates((s, y, theta), curvature, speed, v_des)
+    return components(*rates, target.path_state_gain * (1.0 - phi * phi) * speed)
 
 
 def input_matrix(zeta: FloatArray) -> FloatArray:

@@ -18,8 +18,8 @@ from adp_path_follower.core.control.dynamic_programming import (
 from adp_path_follower.core.control.far_from_path import WideRegion
 from adp_path_follower.core.control.policy import saturate
 from adp_path_follower.core.control.riccati import RiccatiSchedule
-from adp_path_follower.core.geometry import FloatArray, number, numbers
-from adp_path_follower.core.settings.groups import LimitSettings, Settings
+from adp_path_follower.core.geometry import FloatArray, anywhere, number, numbers
+from adp_path_follower.core.settings.groups import Settings
 
 _CHANGE_TIME = 1.0  # [s] from one wide region to another
 _EASED = 0.1  # [s] from one policy far from the path to another
@@ -40,7 +40,7 @@ class FarFromPath:
         self, settings: Settings, riccati: RiccatiSchedule, before: "FarFromPath | None" = None
     ) -> None:
         """Take the policy from the settings; lead over from the one before."""
-        self.region, self._limits = WideRegion(settings, riccati), settings.limits
+        self.region = WideRegion(settings, riccati)
         self._before, self._since = before, 0.0  # [s] from that one on
         if before is not None:
             before._before = None  # only one policy is left at a time
@@ -51,7 +51,7 @@ class FarFromPath:
 
     def drives_alone(self, share: FloatArray) -> bool:
         """Return whether `far_input` is the input of `blend` where `share` is this (...)."""
-        return self._before is None and bool(np.all(share == 1.0))
+        return self._before is None and not anywhere(share != 1.0)
 
     def blend(self, learned: FloatArray, dt: float, *place: FloatArray) -> FloatArray:
         """Return the modified input, shape (..., 2), learned near the path and this far from it.
@@ -71,7 +71,7 @@ class FarFromPath:
     def _alone(self, learned: FloatArray, dt: float, *place: FloatArray) -> FloatArray:
         """Return the input as `blend`, without the policy before."""
         share = self.region.share(place[1])
-        if not np.any(share > 0.0):
+        if not anywhere(share > 0.0):
             self._lookaheads.clear()
             return learned
         far, part = self.far_input(dt, *place), np.asarray(share)[..., None]
@@ -110,15 +110,15 @@ class FarFromPath:
     def _lookahead(self, index: int, model: MotionModel) -> "Lookahead":
         """Return that of a robot, a new one if it has just come to be far from the path."""
         if index not in self._lookaheads:
-            self._lookaheads[index] = Lookahead(self.region, model, self._limits)
+            self._lookaheads[index] = Lookahead(self.region, model)
         return self._lookaheads[index]
 
 
 class Lookahead:
     """Improves the far policy for one robot, a part in each control step."""
 
-    def __init__(self, region: WideRegion, model: MotionModel, limits: LimitSettings) -> None:
-        self._region, self._model, self._limits = region, model, limits
+    def __init__(self, region: WideRegion, model: MotionModel) -> None:
+        self._region, self._model = region, model
         self._due = 0.0  # effort that is to be made
         self._now = _Now()
         self._work = _improving(self._now, region, model)
@@ -149,7 +149,7 @@ class Lookahead:
         self._was_far, self._left_over = is_far, max(self._left_over - dt, 0.0)
         if self._left_over > 0.0:
             u = u + self._left_over / _EASED * self._jump
-        self._before = saturate(u, feedforward, self._limits)
+        self._before = saturate(u, feedforward, self._model.limits)
         return self._before
 
 
